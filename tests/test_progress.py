@@ -50,9 +50,9 @@ RUNS = {
         (ball(500).points, ball(500).cells), blocks=2, block_rounds=2, **given),
     "pieces": pieces,
     "levels": lambda place, **given: odt_plugins.refine_with_report(
-        surface_meshes.sphere(1), 1, edge_length=0.4, envelope=0.1, **given),
+        surface_meshes.sphere(1), 1, edge_length=0.2, envelope=0.1, **given),
     "TetWild": lambda place, **given: odt_plugins.tetrahedralize(
-        *surface_meshes.sphere(1), edge_length_fac=0.4, **given),
+        *surface_meshes.sphere(1), edge_length_fac=0.1, **given),
     "generated": lambda place, **given: generate.odtmesh2d(
         lambda p: generate.dcircle(p, 0, 0, 1), generate.huniform, 0.2, [[-1, -1], [1, 1]],
         **given),

@@ -63,7 +63,7 @@ def test_tetwild_and_odt_in_one_call_leave_nothing_behind(tmp_path, monkeypatch)
     old = CUBE.copy()
     for ordering in (False, True):
         points, cells = odt_plugins.tetrahedralize(
-            CUBE, FACES, edge_length_fac=0.4, epsilon=1e-2, vtk_ordering=ordering)
+            CUBE, FACES, edge_length_fac=0.15, epsilon=1e-2, vtk_ordering=ordering)
         assert (points.dtype, cells.dtype) == (np.float64, np.int32)
         size = np.linalg.det(points[cells][:, 1:] - points[cells][:, :1])
         assert (size > 0).all() if ordering else (size < 0).all()

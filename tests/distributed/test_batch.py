@@ -529,7 +529,7 @@ def test_surfaces_go_through_tetwild_when_asked(place):
              [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]
     side = np.repeat(np.arange(1, 7), 2)
     meshio.Mesh(points, [("triangle", faces)], cell_data={"side": [side]}).write("models/cube.vtu")
-    jobs = make_jobs(["models/cube.vtu"], place / "out", {}, tetrahedralize=True, edge_length=0.3)
+    jobs = make_jobs(["models/cube.vtu"], place / "out", {}, tetrahedralize=True, edge_length=0.15)
     (row,) = run_batch(jobs)
     assert row["status"] == "ok", row["message"]
     assert 0.0 < row["tetwild_seconds"] < row["seconds"] - row["optimize_seconds"] + 1e-3

@@ -221,7 +221,7 @@ def test_tetwild_fills_a_body_that_was_inside_out(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     surface = boxes(((0, 0, 0), 1, True), ((3, 0, 0), 1, False))
     meshio.Mesh(surface[0], [("triangle", surface[1])]).write("two.off")
-    plain = ["tetrahedralize", "two.off", "o.vtu", "--edge-length", "0.3", "--quiet"]
+    plain = ["tetrahedralize", "two.off", "o.vtu", "--edge-length", "0.1", "--quiet"]
     assert cli.main(plain) == 1
     assert cli.main([*plain, "--repair", "orient"]) == 0
     out = files.read_file("o.vtu")

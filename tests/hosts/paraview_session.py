@@ -74,7 +74,7 @@ coarse = simple.ODTRemesh(Input=surface)
 coarse.Size, coarse.Envelope = "1.2", 0.1
 found["coarse"] = facts(coarse)
 filled = simple.ODTTetrahedralize(Input=surface)
-filled.EdgeLength = 0.5
+filled.EdgeLength = 0.15
 filled.Smoothing = "rounds=5"
 found["filled"] = facts(filled)
 with open(os.path.join(folder, "found.json"), "w") as file:

@@ -77,7 +77,7 @@ def test_surfaces_are_filled_with_tetrahedra(tmp_path, monkeypatch):
     pytest.importorskip("pytetwild")
     monkeypatch.chdir(tmp_path)
     cube = pyvista.Cube()
-    grid = cube.odt.tetrahedralize(edge_length_fac=0.4, epsilon=1e-2)
+    grid = cube.odt.tetrahedralize(edge_length_fac=0.15, epsilon=1e-2)
     assert type(grid) is pyvista.UnstructuredGrid
     assert set(grid.celltypes.tolist()) == {10}
     assert grid.volume == pytest.approx(1.0, rel=0.05)

@@ -211,7 +211,7 @@ def test_a_coarse_mesh_becomes_a_fine_one(here, tmp_path_factory):
     points, faces = surface_meshes.sphere(2)
     surface = tmp_path_factory.mktemp("surface") / "open.vtu"
     meshio.write(surface, meshio.Mesh(points, [("triangle", faces[1:])]))
-    small = {"surface": surface, "levels": 1, "envelope": 1e-2, "edge_length": 0.25}
+    small = {"surface": surface, "levels": 1, "envelope": 1e-2, "edge_length": 0.15}
     report, *seconds = example("refine_bunny").main(here / "levels.png", **small)
     assert report.within
     assert report.after.n_cells > 7 * report.levels[0].quality.n_cells
