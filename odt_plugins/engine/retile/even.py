@@ -59,14 +59,12 @@ def even_lines(net: Net, passes: Passes) -> Net:
         if not done:
             break
         passes.measure(net)
-        passes.flip(net, 1.0)
-        passes.shift(net, 0.0)
+        passes.follow(net)
     goals = _goals(net, passes)
     for _ in range(SWEEPS):
         if not slide_vertices(net, passes.rules, goals, passes.room):
             break
-        passes.flip(net, 1.0)
-        passes.shift(net, 0.0)
+        passes.follow(net)
     passes.measure(net)
     if (np.abs(_areas(net) - areas) > UNLIKE * areas).any():
         return passes.back(before)

@@ -124,6 +124,12 @@ class Passes:
         shift_vertices(net, self.rules, since, power, self.room)
         self.measure(net)
 
+    def follow(self, net: Net) -> None:
+        """Flip edges, and move vertices once whose stars other operations have changed."""
+        self.flip(net, 1.0)
+        self.shift(net, 0.0)
+        self._since(net, ("shift", 0.0))
+
     def measure(self, net: Net) -> None:
         """Interpolate sizes and metric at the feet of all vertices, in place."""
         n = int(net.count[0])

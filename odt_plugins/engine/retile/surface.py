@@ -30,8 +30,8 @@ ROUNDS = 4
 """Rounds of splits, collapses, flips and moves; at the end of the first, vertices are laid out in
 rows."""
 
-MOVES = 3
-"""Flips and moves of all vertices in a round."""
+MOVES, MOVES_SEEN = 1, 3
+"""Flips and moves of all vertices in a round, and in one in a metric, which lays out no rows."""
 
 FINISH = ((2.0, 3), (8.0, 3))
 """Powers p and sweeps of flips and Newton steps on F_p, in which vertices on lines take part."""
@@ -104,7 +104,7 @@ def resize(
     for turn in range(ROUNDS):
         net = passes.split(net, bounds if turn else FREELY)
         passes.collapse(net)
-        for _ in range(MOVES):
+        for _ in range(MOVES_SEEN if base.metric.size else MOVES):
             passes.flip(net, 1.0)
             passes.shift(net, 0.0)
         net = compact(net)
