@@ -106,8 +106,7 @@ def read(path: Path, name: str) -> tuple[Any, list[str]]:
         msg = f"it takes longer than {seconds:.3g} s, the limit for {size} bytes"
         raise TimeoutError(msg) from exc
     if name == "netgen":
-        mesh.identified, mesh.field_data = vol.identified(path), vol.names(path)
-        mesh.info = vol.besides(path)
+        mesh = vol.completed(path, mesh)
     return mesh, [*said, *getattr(mesh, REMARKS, ())]
 
 

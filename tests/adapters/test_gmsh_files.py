@@ -225,7 +225,9 @@ def test_files_of_netgen_are_read_by_netgen(tmp_path):
     here = Path.cwd()
     read = files.read_file(tmp_path / "in.vol")
     assert Path.cwd() == here
-    assert [len(block.data) for block in read.cells] == [len(mesh.Elements2D()), mesh.ne]
+    sizes = [len(block.data) for block in read.cells]
+    assert [*sizes[:2], sum(sizes[2:])] == [
+        len(mesh.Elements2D()), mesh.ne, len(mesh.Elements1D())]
     assert set(read.cell_data["netgen:index"][1].tolist()) == {1, 2}
     assert read.field_data["rubber"].tolist() == [2, 3]
     volume = np.abs(contract.volumes(read.points, read.cells[1].data)).sum() / 6

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from made_files import two_boxes
 
-from odt_plugins import remesh
+from odt_plugins import optimize, remesh
 from odt_plugins.adapters.files import read_file, write_file
 from odt_plugins.api import optimize_file
 from odt_plugins.errors import DataNotKeptWarning
@@ -138,8 +138,15 @@ def test_elements_of_second_order_keep_what_they_fill(d, tmp_path):
         assert after.GetBoundaries() == before.GetBoundaries()
 
 
+def anew(mesh):
+    """A mesh that does not know from which file it is."""
+    mesh.read_from = None
+    return mesh
+
+
+@pytest.mark.parametrize("again", [False, True])
 @pytest.mark.parametrize("d", [2, 3])
-def test_names_stay_in_files_of_second_order_that_are_written_anew(d, tmp_path):
+def test_names_stay_in_files_of_second_order(d, again, tmp_path):
     """Names of materials with blanks, and the same ones of sides; several sides have one name."""
     from netgen.geom2d import SplineGeometry
     from netgen.occ import Box, Glue, OCCGeometry, X
@@ -157,9 +164,13 @@ def test_names_stay_in_files_of_second_order_that_are_written_anew(d, tmp_path):
     mesh.SecondOrder()
     source, target = tmp_path / "a.vol", tmp_path / "b.vol"
     mesh.Save(str(source))
-    with pytest.warns(DataNotKeptWarning) as caught:
+    if again:
+        with pytest.warns(DataNotKeptWarning) as caught:
+            write_file(target, anew(optimize(read_file(source))))
+        assert not re.search("field data|periodic|bcnames|materials", str(caught[0].message))
+    else:
         optimize_file(source, target)
-    assert not re.search("field data|periodic|bcnames|materials", str(caught[0].message))
+        assert told(loaded(target))["faces"] == told(loaded(source))["faces"]
 
     def names(path):
         text = path.read_text()
@@ -177,11 +188,16 @@ def test_names_stay_in_files_of_second_order_that_are_written_anew(d, tmp_path):
     assert {"air (2D)"} <= found if d == 2 else {"air", "air (3D)", "my box", "b"} <= found
 
 
+@pytest.mark.parametrize("again", [False, True])
 @pytest.mark.parametrize("scale", [0.7, 1.5])
-def test_triangles_of_a_resized_file_tell_the_materials_beside_them(scale, tmp_path):
+def test_triangles_of_a_resized_file_tell_the_materials_beside_them(scale, again, tmp_path):
     two_boxes(tmp_path / "a.vol")
-    with pytest.warns(DataNotKeptWarning, match="sections"):
-        write_file(tmp_path / "b.vol", remesh(read_file(tmp_path / "a.vol"), scale=scale))
+    mesh = remesh(read_file(tmp_path / "a.vol"), scale=scale)
+    if again:
+        with pytest.warns(DataNotKeptWarning, match="sections"):
+            write_file(tmp_path / "b.vol", anew(mesh))
+    else:
+        write_file(tmp_path / "b.vol", mesh)
     found = []
     for path in (tmp_path / "a.vol", tmp_path / "b.vol"):
         mesh = loaded(path)
@@ -205,3 +221,145 @@ def test_triangles_of_a_resized_file_tell_the_materials_beside_them(scale, tmp_p
             area[key] = area.get(key, 0) + np.linalg.norm(normal) / 2
         found.append(area)
     assert found[1] == pytest.approx(found[0], rel=1e-9)
+
+
+def a_body():
+    """A box of one material around a cylinder of another, with names of faces and edges."""
+    from netgen.occ import Box, Cylinder, Glue, OCCGeometry
+
+    box, inner = Box((0, 0, 0), (1, 1, 1)), Cylinder((0.5, 0.5, 0.2), (0, 0, 1), 0.2, 0.6)
+    box.faces.name, box.edges.name, inner.faces.name, inner.edges.name = "out", "rim", "in", "ring"
+    return OCCGeometry(Glue([(box - inner).mat("a"), inner.mat("b")])).GenerateMesh(maxh=0.2)
+
+
+def a_plate():
+    """A square with a round hole, with names of its edges."""
+    from netgen.geom2d import SplineGeometry
+
+    geometry = SplineGeometry()
+    geometry.AddRectangle((0, 0), (1, 1), bcs=["low", "right", "high", "left"])
+    geometry.AddCircle((0.5, 0.5), 0.2, leftdomain=0, rightdomain=1, bc="hole")
+    return geometry.GenerateMesh(maxh=0.1)
+
+
+def measured(path, order):
+    """What materials, boundaries and their edges measure, by their names, by NGSolve."""
+    from ngsolve import CF, Integrate, Mesh
+
+    mesh = loaded(path)
+    if order > 1:
+        mesh.Curve(order)
+    mesh = Mesh(mesh)
+    out = {name: Integrate(CF(1), mesh, definedon=mesh.Materials(name), order=6)
+           for name in set(mesh.GetMaterials())}
+    out |= {f"{name} on": Integrate(CF(1), mesh.Boundaries(name), order=6)
+            for name in set(mesh.GetBoundaries())}
+    if mesh.dim == 3:
+        out |= {f"{name} along": Integrate(CF(1), mesh.BBoundaries(name), order=6)
+                for name in set(mesh.GetBBoundaries())}
+    return out
+
+
+def without(data, *names):
+    """A file without some sections."""
+    for name in names:
+        data = re.sub(name + rb"\r?\n\s*\d+\s[\s\S]*?(?=\r?\n#|\r?\n[a-z])", b"", data)
+    return data
+
+
+@pytest.mark.parametrize("scale", [0.7, 1.5])
+@pytest.mark.parametrize("made", [a_body, a_plate])
+def test_a_resized_file_has_its_boundaries_edges_and_geometry(made, scale, tmp_path):
+    made().Save(str(tmp_path / "a.vol"))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        write_file(tmp_path / "b.vol", remesh(read_file(tmp_path / "a.vol"), scale=scale))
+    mesh = loaded(tmp_path / "b.vol")
+    assert len(mesh.Points()) != len(loaded(tmp_path / "a.vol").Points())
+    # Netgen stores no splines of the plane.
+    for order in (1, 3) if made is a_body else (1,):
+        before, after = (measured(tmp_path / f"{name}.vol", order) for name in "ab")
+        assert after == pytest.approx(before, rel=6e-3 if order == 1 else 3e-3)
+    sections = (rb"points", rb"pointelements", rb"edgesegmentsgi3", rb"surfaceelements\w*",
+                rb"volumeelements")
+    a, b = (without((tmp_path / f"{name}.vol").read_bytes(), *sections) for name in "ab")
+    assert a.partition(b"endmesh")[2] == b.partition(b"endmesh")[2]
+    assert a.split() == b.split()
+
+
+def parameters(path):
+    """Points (k, 3) of corners of triangles and their parameters (k, 2), by their surfaces."""
+    data = path.read_bytes()
+    points = np.array([line.split() for line in re.search(
+        rb"\npoints\n\d+\n((?:.*\S.*\n)*)", data)[1].splitlines()], dtype=float)
+    out = {}
+    for line in re.search(rb"\nsurfaceelementsuv\n\d+\n((?:.*\S.*\n)*)", data)[1].splitlines():
+        words = line.split()
+        for k in range(3):
+            place = points[int(words[5 + k]) - 1]
+            out.setdefault(words[0], []).append(
+                [*place, *map(float, words[8 + 2 * k : 10 + 2 * k])])
+    return {name: (np.array(rows)[:, :3], np.array(rows)[:, 3:]) for name, rows in out.items()}
+
+
+def test_corners_of_new_triangles_have_parameters_of_their_places(tmp_path):
+    """Those of a plane face are linear, those of a round one are within the turn of a triangle."""
+    a_body().Save(str(tmp_path / "a.vol"))
+    write_file(tmp_path / "b.vol", remesh(read_file(tmp_path / "a.vol"), scale=0.7))
+    before, after = (parameters(tmp_path / f"{name}.vol") for name in "ab")
+    assert {*before} == {*after}
+    plane = 0
+    for name, (points, values) in before.items():
+        wide, narrow = (np.column_stack([p, np.ones(len(p))]) for p in (points, after[name][0]))
+        fit = np.linalg.lstsq(wide, values, rcond=1e-9)[0]
+        if np.abs(wide @ fit - values).max() < 1e-5:
+            plane += 1
+            assert narrow @ fit == pytest.approx(after[name][1], abs=1e-4)
+        else:
+            place, value = after[name][0], after[name][1][:, 0]
+            angle = np.arctan2(place[:, 1] - 0.5, place[:, 0] - 0.5)
+            turns = [np.exp(1j * (angle - sign * value)) for sign in (1, -1)]
+            assert min(np.ptp(np.angle(z / z[0])) for z in turns) < 0.1
+    assert plane == 8
+
+
+def test_segments_of_older_files_are_resized(tmp_path):
+    """They tell a boundary by another word, and every parameter with the number of its edge."""
+    a_plate().Save(str(tmp_path / "new.vol"))
+    data = (tmp_path / "new.vol").read_bytes()
+    head = re.search(rb"edgesegmentsgi3\s+(\d+)\s", data)
+    lines = data[head.end():].split(b"\n", int(head[1]))
+    edges = [int(line.split()[0]) for line in data.split(b"edgedescriptors")[1].splitlines()[2:10]]
+    rows = []
+    for line in lines[:-1]:
+        one, two, _, _, start, stop, number = line.split()
+        rows.append(b"%d 0 %s %s -1 -1 1 0 %d %s %d %s" % (
+            edges[int(number)], one, two, int(number) + 1, start, int(number) + 1, stop))
+    old = b"%sedgesegmentsgi2\n%d\n%s" % (
+        data[: head.start()], len(rows), b"\n".join([*rows, lines[-1]]))
+    (tmp_path / "a.vol").write_bytes(without(
+        old, rb"edgedescriptors", rb"face_colours", rb"face_transparencies"))
+    write_file(tmp_path / "b.vol", remesh(read_file(tmp_path / "a.vol"), scale=0.7))
+    before, after = (measured(tmp_path / f"{name}.vol", 1) for name in "ab")
+    assert after == pytest.approx(before, rel=6e-3)
+    assert len(before) > 5
+    number = len(loaded(tmp_path / "b.vol").Elements1D())
+    assert number > len(rows)
+    parameters = {}
+    for line in re.search(rb"edgesegmentsgi2\n\d+\n((?:.*\n){%d})" % number,
+                          (tmp_path / "b.vol").read_bytes())[1].splitlines():
+        words = line.split()
+        parameters.setdefault(words[8], []).append((float(words[9]), float(words[11])))
+    for pairs in parameters.values():
+        pairs.sort()
+        assert [pairs[0][0], pairs[-1][1]] == [0, 1]
+        assert [b for _, b in pairs[:-1]] == pytest.approx([a for a, _ in pairs[1:]], abs=4e-3)
+
+
+def test_files_with_sections_that_name_points_are_written_anew(tmp_path):
+    a_plate().Save(str(tmp_path / "a.vol"))
+    data = (tmp_path / "a.vol").read_bytes()
+    (tmp_path / "a.vol").write_bytes(
+        data.replace(b"\nendmesh", b"\nsingular_points\n1\n3 0.5\n\nendmesh"))
+    with pytest.warns(DataNotKeptWarning, match="singular_points"):
+        write_file(tmp_path / "b.vol", remesh(read_file(tmp_path / "a.vol"), scale=1.5))

@@ -1,19 +1,37 @@
-"""Netgen's files, .vol: identifications, segments, descriptors and geometry stay as they are."""
+"""Netgen's files, .vol: descriptors, names and geometry stay as they are, cells and points do not.
+
+What is told of a corner of a triangle, or of an end of a segment, is its place on the surface or
+along the edge; new ones are where the triangle, or the segment, that they come from has them.
+"""
 
 from __future__ import annotations
 
 import gzip
 import re
+from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.adapters.formats.change import Change, NotRewritable
-from odt_plugins.adapters.formats.decks import edited, unread
+from odt_plugins.adapters.formats.decks import HELD, Edit, edited, unread
 from odt_plugins.adapters.formats.titles import plain, titled
+from odt_plugins.adapters.formats.vol_tables import (
+    SURFACE,
+    VOLUME,
+    Row,
+    Rows,
+    content,
+    elements,
+    lines_of,
+    number_before,
+    section,
+    segments,
+    table,
+)
 from odt_plugins.errors import MeshFileError
 from odt_plugins.mesh.facets import row_keys
 
@@ -24,30 +42,29 @@ ORDERS = {"tetra": [0, 2, 1, 3], "triangle6": [0, 1, 2, 4, 5, 3],
           "tetra10": [0, 2, 1, 3, 6, 4, 7, 5, 9, 8]}
 """Places of the nodes of cells in files, where a reader gives them in another order."""
 
-SURFACE, VOLUME = rb"surfaceelements(?:gi|uv)?", rb"volumeelements"
-
 KNOWN = (rb"dimension|geomtype|points|facedescriptors|materials|bcnames|cd[23]names|"
-         rb"identifications|" + SURFACE
-         + b"|" + VOLUME)
+         rb"identifications|" + SURFACE + b"|" + VOLUME)
 """Sections of which a mesh holds what they say."""
 
 NAMES = (b"materials", b"bcnames", b"cd2names", b"cd3names")
 """Sections of names of cells, their sides, and the sides of these."""
 
+INDEX = "netgen:index"
+"""Cell data of the numbers of materials, boundary conditions and edges."""
+
+LINEAR = ("vertex", "line", "triangle", "quad", "tetra")
+"""Cells beside which lines are read."""
+
 UNNAMED = "default"
 """Name of what has none."""
 
-HEAD = {SURFACE: 5, VOLUME: 2}
-"""Words of a row before its nodes; the last one is the number of these."""
+FOLLOWED = (rb"dimension|geomtype|facedescriptors|edgedescriptors|materials|bcnames|cd[23]names|"
+            rb"identificationtypes|identificationnames|face_colours|face_transparencies|points|"
+            rb"pointelements|identifications|edgesegmentsgi[23]|" + SURFACE + b"|" + VOLUME)
+"""Sections that can be told of other points."""
 
-
-class _Row(NamedTuple):
-    """A row of a section: where it starts and stops, its words, and where these do."""
-
-    start: int
-    stop: int
-    words: list[bytes]
-    spans: list[tuple[int, int]]
+KEPT = {rb"pointelements": (2, 1), rb"identifications": (3, 2)}
+"""Sections of points that stay: words of a row, and how many of these are points."""
 
 
 def expect_end(path: Path) -> None:
@@ -57,30 +74,27 @@ def expect_end(path: Path) -> None:
     ------
     MeshFileError    it has not
     """
-    if not re.search(rb"(?m)^endmesh\s*$", _content(path)):
+    if not re.search(rb"(?m)^endmesh\s*$", content(path)):
         msg = "it ends before its last line, endmesh"
         raise MeshFileError(msg)
 
 
 def identified(path: Path) -> NDArray[np.int64] | None:
     """Points that a file says to correspond to others, as those of periodic faces; None of none."""
-    section = _section(_content(path), rb"identifications")
-    if section is None:
-        return None
-    data, at, count = section
-    words = re.compile(rb"\S+").finditer(data, at)
-    numbers = [int(next(words)[0]) for _ in range(3 * count)]
-    return np.unique(np.array(numbers, dtype=np.int64).reshape(-1, 3)[:, :2]) - 1
+    size, named = KEPT[rb"identifications"]
+    rows = table(content(path), rb"identifications", size).rows
+    numbers = [int(word) - 1 for row in rows for word in row.words[:named]]
+    return np.unique(numbers) if rows else None
 
 
 def names(path: Path) -> dict[str, NDArray[np.int64]]:
     """Numbers and dimensions of materials and boundary conditions that have names."""
-    data = _content(path)
+    data = content(path)
     head = re.search(rb"(?m)^[ \t]*dimension\s+(\d)", data)
     found = []
     for behind, name in enumerate(NAMES):
-        section = _section(data, name)
-        lines = data[section[1]:].splitlines()[: section[2]] if section else []
+        found_at = section(data, name)
+        lines = data[found_at[0]:].splitlines()[: found_at[1]] if found_at else []
         for line in lines:
             number, *text = line.decode("utf-8", "replace").split(None, 1) or [""]
             if text and text[0].strip() != UNNAMED and number.isdigit():
@@ -93,7 +107,7 @@ def write(path: Path, mesh: Any, binary: bool | None) -> list[str]:
     import meshio
 
     meshio.write(path, mesh, file_format="netgen")
-    data, end, rest = _content(path).rpartition(b"endmesh")
+    data, end, rest = content(path).rpartition(b"endmesh")
     for name in NAMES:
         data = re.sub(rb"\n" + name + rb"\n\d+\n(?:\d+[^\n]*\n)*", b"", data)
     dim = mesh.points.shape[1]
@@ -112,10 +126,10 @@ def write(path: Path, mesh: Any, binary: bool | None) -> list[str]:
 
 def _with_domains(data: bytes, points: NDArray[Any]) -> bytes:
     """A file whose triangles tell the materials behind them and before them, 0 of none."""
-    if _section(data, SURFACE) is None or _section(data, VOLUME) is None:
+    if section(data, SURFACE) is None or section(data, VOLUME) is None:
         return data
-    rows = [row for row in _rows(data, SURFACE)[0] if row.words[4] in (b"3", b"6")]
-    bodies = [row for row in _rows(data, VOLUME)[0] if row.words[1] in (b"4", b"10")]
+    rows = [row for row in elements(data, SURFACE).rows if row.words[4] in (b"3", b"6")]
+    bodies = [row for row in elements(data, VOLUME).rows if row.words[1] in (b"4", b"10")]
     faces = np.array([row.words[5:8] for row in rows], np.bytes_).astype(np.int64).reshape(-1, 3)
     cells = np.array([row.words[2:6] for row in bodies], np.bytes_).astype(np.int64)
     faces, cells = faces - 1, cells.reshape(-1, 4) - 1
@@ -143,39 +157,90 @@ def _normals(points: NDArray[Any], faces: NDArray[np.int64]) -> NDArray[Any]:
     return np.cross(b - a, c - a)
 
 
-def besides(path: Path) -> dict[str, list[str]]:
-    """What a file says that its mesh does not hold, as :func:`decks.unread` tells it."""
-    text, _, more = _content(path).partition(b"endmesh")
-    found = re.findall(rb"(?m)^[ \t]*([a-z_]\w*)[ \t]*\r?\n\s*[1-9]\d*\s", text)
-    names = {name.decode() for name in found if not re.fullmatch(KNOWN, name)}
-    return unread("the sections", names | ({"of the geometry"} if more.strip() else set()))
+def completed(path: Path, mesh: Any) -> Any:
+    """A mesh with what readers do not tell of a file: names, points that stay, segments by edges.
+
+    Parameters
+    ----------
+    path : path
+    mesh : meshio.Mesh    as it was read; one of higher order gets no segments, which are not curved
+    """
+    mesh.identified, mesh.field_data = identified(path), names(path)
+    mesh = _with_lines(content(path), mesh)
+    text, _, more = content(path).partition(b"endmesh")
+    lines = any(block.type == "line" for block in mesh.cells)
+    known = KNOWN + (rb"|edgesegmentsgi[23]" if lines else b"")
+    mesh.info = unread("the sections", [
+        *({name.decode() for name in _sections(text) if not re.fullmatch(known, name)}),
+        *(["of the geometry"] if more.strip() else [])])
+    return mesh
+
+
+def _sections(text: bytes) -> list[bytes]:
+    """Names of the sections that have rows."""
+    return re.findall(rb"(?m)^[ \t]*([a-z_]\w*)[ \t]*\r?\n\s*[1-9]\d*\s", text)
+
+
+def _with_lines(data: bytes, mesh: Any) -> Any:
+    """A mesh with the segments of a file, and with the points that its elements name."""
+    import meshio
+
+    named = table(data, rb"pointelements", KEPT[rb"pointelements"][0]).rows
+    setattr(mesh, HELD, np.unique([int(row.words[0]) - 1 for row in named]).astype(np.int64))
+    found, label = segments(data)
+    if not found.rows or any(block.type not in LINEAR for block in mesh.cells):
+        return mesh
+    nodes = np.array([row.points() for row in found.rows], dtype=np.int64)
+    other = [i for i, block in enumerate(mesh.cells) if block.type != "line"]
+    parts = lines_of(found.rows, label)
+    cells = [mesh.cells[i] for i in other] + [("line", nodes[own]) for own in parts]
+    of = {name: [values[i] for i in other] for name, values in mesh.cell_data.items()}
+    of = {INDEX: of.get(INDEX, []) + [label[own] for own in parts]} if of else {}
+    out = meshio.Mesh(mesh.points, cells, mesh.point_data, of, mesh.field_data)
+    vars(out).update({name: value for name, value in vars(mesh).items() if name not in vars(out)})
+    setattr(out, HELD, getattr(mesh, HELD))
+    return out
 
 
 def rewrite(source: Path, target: Path, change: Change) -> list[str]:
-    """Replace the places of points that moved, and the rows of cells that were exchanged.
+    """Replace the places of points, and the rows of cells that were exchanged.
 
     Raises
     ------
-    NotRewritable    points came or went, or the file has cells that are curved
+    NotRewritable    the file has cells that are curved, or points came or went to which sections
+                     may refer that are not known
     """
+    data = content(source)
     if change.renumbered:
-        msg = "points came or went, to which other sections may refer"
-        raise NotRewritable(msg)
-    data = _content(source)
-    edits = _moved(data, change)
+        for name in _sections(data.partition(b"endmesh")[0]):
+            if not re.fullmatch(FOLLOWED, name):
+                msg = f"points came or went, to which its section {name.decode()} may refer"
+                raise NotRewritable(msg)
+    edits = _placed(data, change)
     lost: list[str] = []
+    before = change.before.cells
     for of in (SURFACE, VOLUME):
         kinds = [kind for kind in NODES if (kind[:3] == "tet") == (of == VOLUME)]
-        own = [i for i, block in enumerate(change.before.cells) if block.type in kinds and (
-            change.exchanged(i).any() or not np.array_equal(
-                change.cells[i], np.arange(len(block.data))))]
-        if not own:
+        changed = [i for i, block in enumerate(before)
+                   if block.type in kinds and _changed(change, i)]
+        if not changed:
             continue
-        if _section(data, rb"curvedelements") is not None:
+        if section(data, rb"curvedelements") is not None:
             msg = "it has curved elements, and cells were exchanged"
             raise NotRewritable(msg)
-        edits += _exchanged(data, change, of, {change.before.cells[i].type for i in own})
-    if edits and _section(data, rb"surfaceelementsuv") is not None:
+        found = elements(data, of)
+        edits += _exchanged(data, change, found,
+                            _blocks(change, found.rows, {before[i].type for i in changed}))
+    lines = [i for i, block in enumerate(before) if block.type == "line"]
+    if any(_changed(change, i) for i in lines):
+        found, label = segments(data)
+        parts = lines_of(found.rows, label)
+        if len(parts) != len(lines):
+            msg = "its segments are not the lines that were read"
+            raise NotRewritable(msg)
+        edits += _exchanged(data, change, found, [
+            (i, own, [0, 1]) for i, own in zip(lines, parts, strict=True)])
+    if edits and not change.renumbered and section(data, rb"surfaceelementsuv") is not None:
         flat = [block.data for block in change.after.cells if block.type in ("triangle", "quad")]
         if flat and change.moved[np.concatenate([np.ravel(rows) for rows in flat])].any():
             lost.append("the parameters of corners of triangles that moved (those of before there)")
@@ -184,122 +249,117 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
     return lost
 
 
-def _content(path: Path) -> bytes:
-    data = path.read_bytes()
-    return gzip.decompress(data) if data[:2] == b"\x1f\x8b" else data
+def _changed(change: Change, block: int) -> bool:
+    """Whether rows of a block of cells are others, or other ones of the file."""
+    return bool(change.renumbered or change.exchanged(block).any() or not np.array_equal(
+        change.cells[block], np.arange(len(change.before.cells[block].data))))
 
 
-def _section(data: bytes, name: bytes) -> tuple[bytes, int, int] | None:
-    """The file, where the rows of a section begin, and their number; None where there is none."""
-    head = re.search(rb"(?:^|\n)[ \t]*(?:" + name + rb")[ \t]*\r?\n\s*(\d+)\s", data)
-    return None if head is None else (data, head.end(), int(head[1]))
-
-
-def _moved(data: bytes, change: Change) -> list[tuple[int, int, bytes]]:
-    """What replaces the coordinates of points that moved."""
-    section = _section(data, rb"points")
-    if section is None or section[2] != len(change.before.points):
+def _placed(data: bytes, change: Change) -> list[Edit]:
+    """What replaces coordinates of points, and the numbers of those that sections name."""
+    found = section(data, rb"points")
+    if found is None or found[1] != len(change.before.points):
         msg = "it has another number of points than were read"
         raise NotRewritable(msg)
-    _, at, count = section
-    words = re.compile(rb"\S+").finditer(data, at)
+    at = found[0]
     first = re.compile(rb"[^\r\n]*\S").search(data, at)
     width = 3 if first is None else len(first[0].split())
+    rows = table(data, rb"points", width).rows
     points, moved = np.asarray(change.after.points), change.moved
-    edits = []
-    for v in range(count):
-        spans = [next(words).span() for _ in range(width)]
-        if moved[v]:
-            edits += [(start, stop, repr(x).encode()) for (start, stop), x in
-                      zip(spans, points[v].tolist(), strict=False)]
+    if not change.renumbered:
+        return [(*span, repr(x).encode()) for v in np.flatnonzero(moved).tolist()
+                for span, x in zip(rows[v].spans, points[v].tolist(), strict=False)]
+    text = []
+    for old, there, x in zip(change.points.tolist(), moved.tolist(), points.tolist(), strict=True):
+        words = [repr(each) for each in [*x, 0.0][:width]]
+        text.append(" ".join(words).encode() if there else data[rows[old].start: rows[old].stop])
+    edits = [(*number_before(data, at), str(len(text)).encode()),
+             (rows[0].start, rows[-1].stop, b"\n".join(text))]
+    number = change.number
+    for name, (size, named) in KEPT.items():
+        for row in table(data, name, size).rows:
+            new = number[[int(word) - 1 for word in row.words[:named]]] + 1
+            if not new.all():
+                msg = f"points went to which its section {name.decode()} refers"
+                raise NotRewritable(msg)
+            edits += [(*span, b"%d" % k) for span, k in zip(row.spans, new.tolist(), strict=False)]
     return edits
 
 
-def _rows(data: bytes, name: bytes) -> tuple[list[_Row], int, int]:
-    """Rows of a section of elements, where its number begins, and where it ends."""
-    section = _section(data, name)
-    if section is None:
-        msg = "it has none of the cells that were read"
-        raise NotRewritable(msg)
-    _, at, count = section
-    head = HEAD[name]
-    kind = re.search(rb"(?:^|\n)[ \t]*(" + name + rb")[ \t]*\r?\n", data)
-    extra = {b"gi": 1, b"uv": 2}.get(kind[1][-2:] if kind else b"", 0)
-    words = re.compile(rb"\S+").finditer(data, at)
-    rows = []
-    for _ in range(count):
-        found = [next(words) for _ in range(head)]
-        nodes = int(found[-1][0])
-        found += [next(words) for _ in range(nodes * (1 + extra))]
-        rows.append(_Row(found[0].start(), found[-1].end(), [word[0] for word in found],
-                         [word.span() for word in found]))
-    number = re.compile(rb"\d+\s$").search(data, 0, at)
-    return rows, number.start() if number else at, rows[-1].stop if rows else at
-
-
-def _exchanged(
-    data: bytes, change: Change, name: bytes, kinds: set[str]
-) -> list[tuple[int, int, bytes]]:
-    """What replaces the rows of a section: every row is followed by those that come from it."""
-    rows, number, stop = _rows(data, name)
-    head = HEAD[name]
-    lines: dict[int, list[bytes]] = {}
-    corners = _corners(rows, head)
+def _blocks(
+    change: Change, rows: Sequence[Row], kinds: set[str]
+) -> list[tuple[int, NDArray[np.int64], list[int]]]:
+    """Blocks of cells of some types, which rows they are, and in which order these have nodes."""
+    out = []
     for kind in sorted(kinds):
         size = NODES[kind]
-        own = [r for r, row in enumerate(rows) if int(row.words[head - 1]) == size]
-        table = np.array([[int(w) for w in rows[r].words[head: head + size]] for r in own]) - 1
+        own = np.array([r for r, row in enumerate(rows) if len(row.nodes) == size])
+        nodes = np.array([rows[r].points() for r in own]).reshape(-1, size)
         blocks = [i for i, block in enumerate(change.before.cells) if block.type == kind]
         before = np.concatenate([change.before.cells[i].data for i in blocks])
         order = next((p for p in (list(range(size)), ORDERS.get(kind, []))
-                      if len(p) == size and table.shape == before.shape
-                      and np.array_equal(before[:, p], table)), None)
+                      if len(p) == size and nodes.shape == before.shape
+                      and np.array_equal(before[:, p], nodes)), None)
         if order is None:
             msg = f"its rows of type {kind} are in another order than were read"
             raise NotRewritable(msg)
-        for r in own:
-            lines[r] = []
-        start = 0
-        for i in blocks:
-            after, fresh = np.asarray(change.after.cells[i].data)[:, order], change.exchanged(i)
-            for c, r in enumerate((change.cells[i] + start).tolist()):
-                row = rows[own[r]]
-                lines[own[r]].append(
-                    _with_nodes(data, row, head, (after[c] + 1).tolist(), corners) if fresh[c]
-                    else data[row.start: row.stop])
-            start += len(change.before.cells[i].data)
+        ends = np.cumsum([len(change.before.cells[i].data) for i in blocks])[:-1]
+        out += [(i, part, order) for i, part in zip(blocks, np.split(own, ends), strict=True)]
+    return out
+
+
+def _exchanged(
+    data: bytes, change: Change, found: Rows, parts: Sequence[tuple[int, Any, list[int]]]
+) -> list[Edit]:
+    """What replaces the rows of a section: every row is followed by those that come from it.
+
+    ``parts`` are the blocks of cells with the rows that they are, and the order of their nodes.
+    """
+    rows = found.rows
+    told: dict[tuple[bytes, int], list[list[float]]] = {}
+    for row in rows:
+        for k, node in enumerate(row.points() if row.parameters else ()):
+            told.setdefault((row.of, node), []).append(row.values(k))
+    lines: dict[int, list[bytes]] = {}
+    for i, own, order in parts:
+        lines |= {r: [] for r in own.tolist()}
+        after, fresh = np.asarray(change.after.cells[i].data)[:, order], change.exchanged(i)
+        for c, r in enumerate(own[change.cells[i]].tolist()):
+            lines[r].append(_with_nodes(data, rows[r], after[c], change, told)
+                            if fresh[c] or change.renumbered
+                            else data[rows[r].start: rows[r].stop])
     gaps = [data[one.stop: two.start] for one, two in pairwise(rows)]
     gaps = [*gaps[:1], *gaps]
     out = [(gap, text) for r, (row, gap) in enumerate(zip(rows, gaps or [b""], strict=True))
            for text in lines.get(r, [data[row.start: row.stop]])]
-    digits = len(str(len(rows)))
     body = b"".join(part for pair in out for part in pair)[len(out[0][0]) if out else 0:]
-    return [(number, number + digits, str(len(out)).encode()), (rows[0].start, stop, body)]
-
-
-def _corners(rows: list[_Row], head: int) -> dict[tuple[bytes, int], list[bytes]]:
-    """What rows tell of a node behind their nodes, by their surface and the node."""
-    out: dict[tuple[bytes, int], list[bytes]] = {}
-    for row in rows:
-        size = int(row.words[head - 1])
-        more = row.words[head + size:]
-        width = len(more) // size
-        for k, node in enumerate(row.words[head: head + size] if width else ()):
-            out.setdefault((row.words[0], int(node)), more[k * width: (k + 1) * width])
-    return out
+    return [(*found.number, str(len(out)).encode()), (rows[0].start, found.stop, body)]
 
 
 def _with_nodes(
-    data: bytes, row: _Row, head: int, nodes: list[int], corners: dict[tuple[bytes, int], Any]
+    data: bytes, row: Row, nodes: NDArray[Any], change: Change,
+    told: dict[tuple[bytes, int], list[list[float]]],
 ) -> bytes:
-    """A row with other nodes, and what other rows of its surface tell of these."""
-    size = len(nodes)
+    """A row with other nodes, and what is told of these.
+
+    That is linear on the row: of what other rows tell of a node that is where it was, it is the
+    nearest to that, as both sides of a seam tell others.
+    """
     words = list(row.words)
-    words[head: head + size] = [str(node).encode() for node in nodes]
-    width = (len(words) - head - size) // size
-    for k, node in enumerate(nodes if width else ()):
-        at = head + size + k * width
-        words[at: at + width] = corners.get((row.words[0], node), words[at: at + width])
+    corners = np.asarray(change.before.points)[row.points()[: min(len(row.nodes), 3)]]
+    values = np.array([row.values(k) for k in range(len(corners))]).reshape(len(corners), -1)
+    sides = np.linalg.pinv((corners[1:] - corners[0]).T) if values.size else None
+    for k, node in enumerate(nodes.tolist()):
+        words[row.nodes[k]] = b"%d" % (node + 1)
+        if sides is None:
+            continue
+        part = sides @ (np.asarray(change.after.points)[node] - corners[0])
+        here = values[0] + part @ (values[1:] - values[0])
+        known = told.get((row.of, int(change.points[node])), [])
+        if known and not change.moved[node]:
+            here = np.array(min(known, key=lambda each: float(abs(each - here).max())))
+        for place, value in zip(row.parameters[k], here.tolist(), strict=True):
+            words[place] = repr(value).encode()
     out = []
     for k, word in enumerate(words):
         out += [data[row.spans[k - 1][1]: row.spans[k][0]] if k else b"", word]
