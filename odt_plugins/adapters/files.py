@@ -29,6 +29,7 @@ from odt_plugins.adapters.formats import READERS, REWRITERS, WRITERS, gmsh_group
 from odt_plugins.adapters.formats.change import Change, NotRewritable, Origin, origin_of
 from odt_plugins.adapters.formats.decks import DECK, UNREAD
 from odt_plugins.adapters.host import HostMesh, Result
+from odt_plugins.adapters.recolouring import recoloured
 from odt_plugins.adapters.stated import declares_no_cells
 from odt_plugins.errors import (
     DataNotKeptWarning,
@@ -228,7 +229,8 @@ def write_file(
             if trimesh_scene.matches(mesh):
                 lost = scene_files.write(beside / path.name, mesh)
             elif lost is None:
-                lost, more = _write_and_compare(beside / path.name, mesh, name, binary)
+                lost, more = _write_and_compare(
+                    beside / path.name, recoloured(mesh, name), name, binary)
                 remarks += more
                 lost += mesh.info.get(UNREAD, []) if isinstance(mesh.info, dict) else []
             # Formats such as xdmf write companions; the file that refers to them comes last.

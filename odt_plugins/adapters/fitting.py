@@ -60,7 +60,7 @@ FORMS = {
     "nastran": Form("nastran:ref", points=False, cells=False),
     "netgen": Form("netgen:index", points=False, cells=False),
     "obj": Form(beside=False, blocks=True),
-    "off": Form(points=False, cells=False, beside=False, blocks=True),
+    "off": Form(beside=False, blocks=True),
     "ply": Form(blocks=True, text=True, vertices=False),
     "permas": Form(points=False, cells=False, blocks=True),
     "stl": Form(points=False, beside=False, blocks=True, sets=True, text=True),

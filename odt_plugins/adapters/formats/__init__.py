@@ -75,6 +75,7 @@ REWRITERS: dict[str, Callable[[Path, Path, Change], list[str]]] = {
 WRITERS: dict[str, Callable[[Path, Any, bool | None], list[str]]] = {
     "abaqus": abaqus_write.write, "exodus": exodus_write.write, "medit": medit.write,
     "nastran": nastran_write.write,
-    "netgen": vol.write, "ply": ply.write, "stl": stl.write,
+    "netgen": vol.write, "obj": obj.write, "off": off.write, "ply": ply.write,
+    "stl": stl.write,
 }
 """Writers that take the place of meshio's: path, mesh and whether binary, to what is lost."""

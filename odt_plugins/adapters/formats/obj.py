@@ -101,6 +101,21 @@ def read(path: Path) -> Any:
     return mesh
 
 
+def write(path: Path, mesh: Any, binary: bool | None) -> list[str]:
+    """Write a mesh by meshio, and the colours of its vertices behind their places."""
+    import meshio
+
+    meshio.write(path, mesh, file_format="obj")
+    colours = mesh.point_data.get(COLOURS)
+    if colours is not None:
+        lines = path.read_bytes().splitlines(keepends=True)
+        at = [i for i, line in enumerate(lines) if line.startswith(b"v ")]
+        for i, colour in zip(at, np.asarray(colours).tolist(), strict=True):
+            lines[i] = b"%s %s\n" % (lines[i].strip(), b" ".join(b"%r" % x for x in colour))
+        path.write_bytes(b"".join(lines))
+    return []
+
+
 def rewrite(source: Path, target: Path, change: Change) -> list[str]:
     """Replace vertices that moved, triangles that changed, and what their corners refer to."""
     found = _lines(source.read_bytes())

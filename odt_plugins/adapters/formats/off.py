@@ -71,6 +71,25 @@ def read(path: Path) -> Any:
     return mesh
 
 
+def write(path: Path, mesh: Any, binary: bool | None) -> list[str]:
+    """Write a mesh, with the colours of its vertices and of its cells."""
+    points = np.asarray(mesh.points, dtype=np.float64)
+    colours = mesh.cell_data.get(COLOURS, [None] * len(mesh.cells))
+    behind = mesh.point_data.get(COLOURS)
+    head = "OFF" if behind is None else "COFF"
+    count = sum(len(block.data) for block in mesh.cells)
+    lines = [head, f"{len(points)} {count} 0"]
+    told = _texts(behind) or [[]] * len(points)
+    lines += [" ".join([*map(repr, place), *words])
+              for place, words in zip(points.tolist(), told, strict=True)]
+    for block, values in zip(mesh.cells, colours, strict=True):
+        told = _texts(values) or [[]] * len(block.data)
+        lines += [" ".join([str(len(row)), *map(str, np.asarray(row).tolist()), *words])
+                  for row, words in zip(block.data, told, strict=True)]
+    path.write_text("\n".join(lines) + "\n")
+    return []
+
+
 def rewrite(source: Path, target: Path, change: Change) -> list[str]:
     """Replace the vertices that moved and the triangles that changed; all else stays as it is."""
     found = _lines(source.read_bytes())
