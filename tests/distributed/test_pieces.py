@@ -230,7 +230,7 @@ def test_a_process_with_too_little_memory_for_the_whole_is_enough_for_the_pieces
                  bricks(start.points, start.cells, 8))
 
     def run(*words: str) -> subprocess.CompletedProcess[str]:
-        return subprocess.run([sys.executable, "-c", LIMITED, str(40_000_000), *words],
+        return subprocess.run([sys.executable, "-c", LIMITED, str(52_000_000), *words],
                               cwd=tmp_path, capture_output=True, text=True, check=False)
 
     whole = run("whole.vtu", "out.vtu")
