@@ -13,12 +13,13 @@ CHANNEL = re.compile(r"red|green|blue|alpha")
 
 
 def is_colour(name: str, values: NDArray[Any]) -> bool:
-    """Whether these are bytes, three or four each, or called red, green, blue or alpha."""
-    if values.dtype != np.uint8:
-        return False
-    if values.ndim == 1:
+    """Whether these are bytes, three or four each, or called red, green, blue or alpha.
+
+    Numbers of two bytes are so if they are called that.
+    """
+    if values.ndim == 1 and values.dtype in (np.uint8, np.uint16):
         return CHANNEL.fullmatch(re.sub(r"[^a-z]", "", name.lower())) is not None
-    return values.ndim == 2 and values.shape[1] in (3, 4)
+    return values.dtype == np.uint8 and values.ndim == 2 and values.shape[1] in (3, 4)
 
 
 def varies(name: str, values: NDArray[Any]) -> bool:

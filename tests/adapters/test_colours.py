@@ -168,5 +168,8 @@ def test_what_is_a_colour():
     assert not is_colour("any", byte[:, :2])
     assert not is_colour("RGB", wide)
     assert not is_colour("red", wide[:, 0])
+    assert is_colour("red", wide[:, 0].astype(np.uint16))
+    assert not is_colour("mark", wide[:, 0].astype(np.uint16))
+    assert not is_colour("RGB", wide.astype(np.uint16))
     assert field_names({"RGB": byte, "vtkGhostType": byte, "label": byte[:, 0]}) == ("RGB",)
     assert dense({"RGB": byte, "red": byte[:, 0], "T": byte[:, 0] * 1.0}).keys() == {"T"}
