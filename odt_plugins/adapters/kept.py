@@ -374,7 +374,7 @@ def hold_places(
         notes.append(f"{counted(splines, 'vertex', 'vertices')} on splines stay, since Netgen "
                      f"takes no parameters of points there")
     disagree = mesh.is_surface and mesh.frozen.any()
-    if periodic and mesh.points.shape[1] == 3:
+    if periodic:
         mesh, count = _hold_periodic(mesh, host.coupled)
         if count:
             notes.append(f"{counted(count, 'vertex', 'vertices')} of periodic faces stay, so that "
@@ -411,8 +411,10 @@ def _hold_periodic(
         mesh = freeze(mesh, np.asarray(held[mesh.cells].all(axis=1)), np.flatnonzero(held))
         return with_same_cells(mesh, coupled=held), int(held.sum())
     facets = mesh.uneven.open
-    facets = np.concatenate([facets[held[facets].all(axis=1)],
-                             periodic_triangles(mesh.points, facets)])
+    same = [facets[held[facets].all(axis=1)]]
+    if facets.shape[1] == 3:
+        same.append(periodic_triangles(mesh.points, facets))
+    facets = np.concatenate(same)
     held[facets] = True
     mesh = freeze(mesh, mesh.frozen, np.flatnonzero(held))
     stays = np.concatenate([mesh.stays, _edges(facets)])

@@ -60,7 +60,7 @@ def read(path: Path) -> Any:
             msg = "it has elements of several orders, or of more than the second"
             raise ValueError(msg)
         name = kind if size == corners else f"{kind}{size}"
-        order = np.argsort(ORDERS[name]) if size > corners else np.arange(size)
+        order = np.argsort(ORDERS.get(name, range(size)))
         cells.append((name, (table["nodes"].astype(np.int64) - 1)[:, order]))
         index = table["index"].astype(np.int64)
         labels.append(condition[index] if corners == 3 else index)

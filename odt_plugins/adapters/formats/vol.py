@@ -60,8 +60,14 @@ UNNAMED = "default"
 
 FOLLOWED = (rb"dimension|geomtype|facedescriptors|edgedescriptors|materials|bcnames|cd[23]names|"
             rb"identificationtypes|identificationnames|face_colours|face_transparencies|points|"
-            rb"pointelements|identifications|edgesegmentsgi[23]|" + SURFACE + b"|" + VOLUME)
+            rb"pointelements|identifications|curvedelements|" + SURFACE + b"|" + VOLUME)
 """Sections that can be told of other points."""
+
+SEGMENTED = rb"|edgesegmentsgi[23]"
+"""Sections that are known in the forms of :data:`vol_tables.SEGMENTS`."""
+
+CURVED = re.compile(rb"(?m)^curvedelements(?:\s+(?:[-+.\deE]+|[ft]))+\s+(?=endmesh)")
+"""Section of how edges and faces are curved, by numbers that depend on all cells."""
 
 KEPT = {rb"pointelements": (2, 1), rb"identifications": (3, 2)}
 """Sections of points that stay: words of a row, and how many of these are points."""
@@ -94,7 +100,7 @@ def names(path: Path) -> dict[str, NDArray[np.int64]]:
     found = []
     for behind, name in enumerate(NAMES):
         found_at = section(data, name)
-        lines = data[found_at[0]:].splitlines()[: found_at[1]] if found_at else []
+        lines = data[found_at[0]:].split(b"\n", found_at[1])[:-1] if found_at else []
         for line in lines:
             number, *text = line.decode("utf-8", "replace").split(None, 1) or [""]
             if text and text[0].strip() != UNNAMED and number.isdigit():
@@ -118,10 +124,19 @@ def write(path: Path, mesh: Any, binary: bool | None) -> list[str]:
         if lines:
             data += b"\n%s\n%d\n%s" % (name, len(lines), "".join(lines).encode())
     if dim == 3:
-        data = _with_domains(data, np.asarray(mesh.points))
+        data = _with_domains(_with_edges(data), np.asarray(mesh.points))
     whole = data + b"\n" + end + rest
     path.write_bytes(gzip.compress(whole) if path.suffix.lower() == ".gz" else whole)
     return []
+
+
+def _with_edges(data: bytes) -> bytes:
+    """A file whose segments tell their numbers where Netgen has those of edges."""
+    edits = []
+    for row in segments(data)[0].rows:
+        spans = row.spans(data)
+        edits += [(*spans[k], row.words[0]) for k in (8, 10)]
+    return edited(data, edits)
 
 
 def _with_domains(data: bytes, points: NDArray[Any]) -> bytes:
@@ -148,7 +163,8 @@ def _with_domains(data: bytes, points: NDArray[Any]) -> bytes:
     edits = []
     for row, pair, turn in zip(rows, found[which].tolist(), turned, strict=True):
         told = pair[::-1] if turn else pair
-        edits += [(*row.spans[k], str(told[k - 2]).encode()) for k in (2, 3)]
+        spans = row.spans(data)
+        edits += [(*spans[k], str(told[k - 2]).encode()) for k in (2, 3)]
     return edited(data, edits)
 
 
@@ -169,7 +185,7 @@ def completed(path: Path, mesh: Any) -> Any:
     mesh = _with_lines(content(path), mesh)
     text, _, more = content(path).partition(b"endmesh")
     lines = any(block.type == "line" for block in mesh.cells)
-    known = KNOWN + (rb"|edgesegmentsgi[23]" if lines else b"")
+    known = KNOWN + SEGMENTED * lines
     mesh.info = unread("the sections", [
         *({name.decode() for name in _sections(text) if not re.fullmatch(known, name)}),
         *(["of the geometry"] if more.strip() else [])])
@@ -207,33 +223,41 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
 
     Raises
     ------
-    NotRewritable    the file has cells that are curved, or points came or went to which sections
-                     may refer that are not known
+    NotRewritable    points came or went, to which cells or sections may refer that are not known
     """
     data = content(source)
+    before, curved = change.before.cells, False
+    lines = [i for i, block in enumerate(before) if block.type == "line"]
+    found, label = segments(data)
     if change.renumbered:
+        other = {block.type for block in before} - {*NODES, "line", "vertex"}
+        if other:
+            msg = f"points came or went, to which its cells of type {min(other)} may refer"
+            raise NotRewritable(msg)
         for name in _sections(data.partition(b"endmesh")[0]):
-            if not re.fullmatch(FOLLOWED, name):
+            if not re.fullmatch(FOLLOWED + SEGMENTED * bool(found.rows), name):
                 msg = f"points came or went, to which its section {name.decode()} may refer"
                 raise NotRewritable(msg)
     edits = _placed(data, change)
     lost: list[str] = []
-    before = change.before.cells
     for of in (SURFACE, VOLUME):
         kinds = [kind for kind in NODES if (kind[:3] == "tet") == (of == VOLUME)]
         changed = [i for i, block in enumerate(before)
                    if block.type in kinds and _changed(change, i)]
         if not changed:
             continue
-        if section(data, rb"curvedelements") is not None:
+        curved = section(data, rb"curvedelements") is not None
+        cells = elements(data, of)
+        edits += _exchanged(data, change, cells,
+                            _blocks(change, cells.rows, {before[i].type for i in changed}))
+    if curved:
+        found_at = CURVED.search(data)
+        if found_at is None:
             msg = "it has curved elements, and cells were exchanged"
             raise NotRewritable(msg)
-        found = elements(data, of)
-        edits += _exchanged(data, change, found,
-                            _blocks(change, found.rows, {before[i].type for i in changed}))
-    lines = [i for i, block in enumerate(before) if block.type == "line"]
+        edits.append((*found_at.span(), b""))
+        lost.append("the section curvedelements")
     if any(_changed(change, i) for i in lines):
-        found, label = segments(data)
         parts = lines_of(found.rows, label)
         if len(parts) != len(lines):
             msg = "its segments are not the lines that were read"
@@ -268,7 +292,7 @@ def _placed(data: bytes, change: Change) -> list[Edit]:
     points, moved = np.asarray(change.after.points), change.moved
     if not change.renumbered:
         return [(*span, repr(x).encode()) for v in np.flatnonzero(moved).tolist()
-                for span, x in zip(rows[v].spans, points[v].tolist(), strict=False)]
+                for span, x in zip(rows[v].spans(data), points[v].tolist(), strict=False)]
     text = []
     for old, there, x in zip(change.points.tolist(), moved.tolist(), points.tolist(), strict=True):
         words = [repr(each) for each in [*x, 0.0][:width]]
@@ -276,14 +300,41 @@ def _placed(data: bytes, change: Change) -> list[Edit]:
     edits = [(*number_before(data, at), str(len(text)).encode()),
              (rows[0].start, rows[-1].stop, b"\n".join(text))]
     number = change.number
+    stay = []
     for name, (size, named) in KEPT.items():
-        for row in table(data, name, size).rows:
-            new = number[[int(word) - 1 for word in row.words[:named]]] + 1
-            if not new.all():
-                msg = f"points went to which its section {name.decode()} refers"
-                raise NotRewritable(msg)
-            edits += [(*span, b"%d" % k) for span, k in zip(row.spans, new.tolist(), strict=False)]
+        found_rows = table(data, name, size)
+        if found_rows.rows and name == b"identifications" and not _correspond(change):
+            edits += [(*found_rows.number, b"0"), (found_rows.rows[0].start, found_rows.stop, b"")]
+            continue
+        stay += [(name.decode(), row, range(named)) for row in found_rows.rows]
+    if not any(block.type == "line" for block in change.before.cells):
+        stay += [("edgesegments", row, row.nodes) for row in segments(data)[0].rows]
+    for section_name, row, of in stay:
+        new = number[[int(row.words[k]) - 1 for k in of]] + 1
+        if not new.all():
+            msg = f"points went to which its section {section_name} refers"
+            raise NotRewritable(msg)
+        spans = row.spans(data)
+        edits += [(*spans[k], b"%d" % each) for k, each in zip(of, new.tolist(), strict=True)]
     return edits
+
+
+def _correspond(change: Change) -> bool:
+    """Whether identified points stay, and labels have no others whose faces had only these."""
+    before, kind = change.before, "line" if change.before.points.shape[1] == 2 else "triangle"
+    held = np.zeros(len(before.points), dtype=np.bool_)
+    held[before.identified] = True
+    still = (change.points >= 0) & held[change.points]
+    if still.sum() < held.sum():
+        return False
+    for i, block in enumerate(before.cells):
+        if block.type == kind and INDEX in before.cell_data:
+            label = np.asarray(before.cell_data[INDEX][i])
+            loose = label[~held[block.data].all(axis=1)]
+            whole = ~np.isin(label[change.cells[i]], loose)
+            if not still[np.asarray(change.after.cells[i].data)[whole]].all():
+                return False
+    return True
 
 
 def _blocks(
@@ -316,18 +367,17 @@ def _exchanged(
     ``parts`` are the blocks of cells with the rows that they are, and the order of their nodes.
     """
     rows = found.rows
-    told: dict[tuple[bytes, int], list[list[float]]] = {}
-    for row in rows:
-        for k, node in enumerate(row.points() if row.parameters else ()):
-            told.setdefault((row.of, node), []).append(row.values(k))
     lines: dict[int, list[bytes]] = {}
     for i, own, order in parts:
         lines |= {r: [] for r in own.tolist()}
-        after, fresh = np.asarray(change.after.cells[i].data)[:, order], change.exchanged(i)
-        for c, r in enumerate(own[change.cells[i]].tolist()):
-            lines[r].append(_with_nodes(data, rows[r], after[c], change, told)
-                            if fresh[c] or change.renumbered
-                            else data[rows[r].start: rows[r].stop])
+        after = np.asarray(change.after.cells[i].data)[:, order]
+        old, fresh = own[change.cells[i]], change.exchanged(i) | change.renumbered
+        there = iter(_told(change, rows, old[fresh], after[fresh]))
+        for r, nodes, other in zip(old.tolist(), (after.astype(np.int64) + 1).tolist(),
+                                   fresh.tolist(), strict=True):
+            row = rows[r]
+            lines[r].append(_with_words(row, nodes, next(there)) if other
+                            else data[row.start: row.stop])
     gaps = [data[one.stop: two.start] for one, two in pairwise(rows)]
     gaps = [*gaps[:1], *gaps]
     out = [(gap, text) for r, (row, gap) in enumerate(zip(rows, gaps or [b""], strict=True))
@@ -336,31 +386,49 @@ def _exchanged(
     return [(*found.number, str(len(out)).encode()), (rows[0].start, found.stop, body)]
 
 
-def _with_nodes(
-    data: bytes, row: Row, nodes: NDArray[Any], change: Change,
-    told: dict[tuple[bytes, int], list[list[float]]],
-) -> bytes:
-    """A row with other nodes, and what is told of these.
+def _told(
+    change: Change, rows: Sequence[Row], old: NDArray[np.int64], after: NDArray[Any]
+) -> list[list[tuple[int, bytes]]]:
+    """Words, and their places, that tell of nodes ``after`` (m, k) of rows that come from ``old``.
 
-    That is linear on the row: of what other rows tell of a node that is where it was, it is the
-    nearest to that, as both sides of a seam tell others.
+    Parameters are linear on the old row, numbers are those of its nearest node. Of what other rows
+    tell of a node that is where it was, it is the nearest to that, as both sides of a seam tell
+    others.
     """
-    words = list(row.words)
-    corners = np.asarray(change.before.points)[row.points()[: min(len(row.nodes), 3)]]
-    values = np.array([row.values(k) for k in range(len(corners))]).reshape(len(corners), -1)
-    sides = np.linalg.pinv((corners[1:] - corners[0]).T) if values.size else None
-    for k, node in enumerate(nodes.tolist()):
-        words[row.nodes[k]] = b"%d" % (node + 1)
-        if sides is None:
-            continue
-        part = sides @ (np.asarray(change.after.points)[node] - corners[0])
-        here = values[0] + part @ (values[1:] - values[0])
-        known = told.get((row.of, int(change.points[node])), [])
-        if known and not change.moved[node]:
-            here = np.array(min(known, key=lambda each: float(abs(each - here).max())))
-        for place, value in zip(row.parameters[k], here.tolist(), strict=True):
-            words[place] = repr(value).encode()
+    own = [rows[r] for r in old.tolist()]
+    if not own or not own[0].parameters:
+        return [[] for _ in own]
+    known: dict[tuple[bytes, int], dict[tuple[float, ...], None]] = {}
+    for row in rows:
+        for k, node in enumerate(row.points()):
+            known.setdefault((row.of, node), {})[row.values(k)] = None
+    count, numbers = min(after.shape[1], 3), own[0].numbers
+    places = np.asarray(change.after.points)[after]
+    corners = np.asarray(change.before.points)[[row.points()[:count] for row in own]]
+    values = np.array([[row.values(k) for k in range(count)] for row in own])
+    part = (places - corners[:, :1]) @ np.linalg.pinv(corners[:, 1:] - corners[:, :1])
+    told = values[:, :1] + part @ (values[:, 1:] - values[:, :1])
+    nearest = ((places[:, :, None] - corners[:, None]) ** 2).sum(axis=3).argmin(axis=2)
+    told[..., :numbers] = np.take_along_axis(values, nearest[..., None], axis=1)[..., :numbers]
+    came = np.where(change.moved, -1, change.points)[after]
     out = []
-    for k, word in enumerate(words):
-        out += [data[row.spans[k - 1][1]: row.spans[k][0]] if k else b"", word]
-    return b"".join(out)
+    for row, nodes, here in zip(own, came.tolist(), told.tolist(), strict=True):
+        words = []
+        for node, at, each in zip(nodes, row.parameters, here, strict=False):
+            others = known.get((row.of, node), (each,))
+            best = min(others, key=lambda other, each=each: [
+                max((abs(a - b) for a, b in zip(other[part], each[part], strict=True)), default=0)
+                for part in (slice(numbers, None), slice(numbers))])
+            words += [(place, repr(value if i >= numbers else int(value)).encode())
+                      for i, (place, value) in enumerate(zip(at, best, strict=True))]
+        out.append(words)
+    return out
+
+
+def _with_words(row: Row, nodes: Sequence[int], told: Sequence[tuple[int, bytes]]) -> bytes:
+    """A row with other nodes, and other words at some places."""
+    words = list(row.words)
+    words[row.nodes.start: row.nodes.stop] = [b"%d" % node for node in nodes]
+    for place, word in told:
+        words[place] = word
+    return b" ".join(words)

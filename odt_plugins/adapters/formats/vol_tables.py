@@ -5,6 +5,8 @@ from __future__ import annotations
 import gzip
 import re
 from collections.abc import Sequence
+from functools import cache
+from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
@@ -31,17 +33,19 @@ class Form(NamedTuple):
     words : int              of a row
     node : int               place of the first node; the other one follows
     edge : int               place of the number of the edge, or of its descriptor
-    parameters : two ints    places of the parameters of the nodes along the edge
+    parameters : two pairs   places of what is told of the nodes, as in :class:`Row`
     """
 
     words: int
     node: int
     edge: int
-    parameters: tuple[int, int]
+    parameters: tuple[tuple[int, int], tuple[int, int]]
 
 
 SEGMENTS = {
-    rb"edgesegmentsgi2": Form(12, 2, 8, (9, 11)), rb"edgesegmentsgi3": Form(7, 0, 6, (4, 5))}
+    rb"edgesegmentsgi2": Form(12, 2, 8, ((4, 9), (5, 11))),
+    rb"edgesegmentsgi3": Form(7, 0, 6, ((2, 4), (3, 5))),
+}
 
 
 class Row(NamedTuple):
@@ -51,27 +55,31 @@ class Row(NamedTuple):
     ----------
     start, stop : int
     words : list of bytes
-    spans : list of pairs       where these start and stop
     nodes : range               places of the nodes among the words
-    parameters : list of tuples places of what is told of each node
+    parameters : list of tuples places of what is told of each node; empty where that is nothing
+    numbers : int               how many of these, the first ones, are numbers of triangles
     of : bytes                  surface or edge
     """
 
     start: int
     stop: int
     words: list[bytes]
-    spans: list[tuple[int, int]]
     nodes: range
-    parameters: list[tuple[int, ...]]
+    parameters: Sequence[tuple[int, ...]]
+    numbers: int
     of: bytes
+
+    def spans(self, data: bytes) -> list[tuple[int, int]]:
+        """Where the words start and stop."""
+        return [word.span() for word in re.compile(rb"\S+").finditer(data, self.start, self.stop)]
 
     def points(self) -> list[int]:
         """Numbers of the nodes, from 0 on."""
         return [int(self.words[k]) - 1 for k in self.nodes]
 
-    def values(self, node: int) -> list[float]:
+    def values(self, node: int) -> tuple[float, ...]:
         """What is told of a node, by its place among those of the row."""
-        return [float(self.words[k]) for k in self.parameters[node]]
+        return tuple(float(self.words[k]) for k in self.parameters[node])
 
 
 class Rows(NamedTuple):
@@ -90,7 +98,7 @@ def content(path: Path) -> bytes:
 
 def section(data: bytes, name: bytes) -> tuple[int, int] | None:
     """Where the rows of a section begin, and their number; None where there is none."""
-    head = re.search(rb"(?:^|\n)[ \t]*(?:" + name + rb")[ \t]*\r?\n\s*(\d+)\s", data)
+    head = re.search(rb"(?m)^[ \t]*(?:" + name + rb")[ \t]*\r?\n\s*(\d+)(?!\S)[ \t\r]*\n?", data)
     return None if head is None else (head.end(), int(head[1]))
 
 
@@ -106,8 +114,7 @@ def table(data: bytes, name: bytes, width: int) -> Rows:
     if found is None:
         return Rows([], (0, 0), 0)
     at, count = found
-    words = re.compile(rb"\S+").finditer(data, at)
-    rows = [_row([next(words) for _ in range(width)], range(width), [], b"") for _ in range(count)]
+    rows = [Row(*row, range(width), [], 0, b"") for row in _words(data, at, count, width)]
     return Rows(rows, number_before(data, at), rows[-1].stop if rows else at)
 
 
@@ -126,42 +133,36 @@ def elements(data: bytes, name: bytes) -> Rows:
     head = HEAD[name]
     kind = re.search(rb"(?:^|\n)[ \t]*(" + name + rb")[ \t]*\r?\n", data)
     width = {b"gi": 1, b"uv": 2}.get(kind[1][-2:] if kind else b"", 0)
-    words = re.compile(rb"\S+").finditer(data, at)
-    rows = []
+    forms: dict[int, tuple[range, list[tuple[int, ...]]]] = {}
+    stop, rows = at, []
     for _ in range(count):
-        row = [next(words) for _ in range(head)]
-        nodes = int(row[-1][0])
-        row += [next(words) for _ in range(nodes * (1 + width))]
-        told = [tuple(range(head + nodes + k * width, head + nodes + (k + 1) * width))
-                for k in range(nodes)]
-        rows.append(_row(row, range(head, head + nodes), told, row[0][0]))
+        start, middle, words = _words(data, stop, 1, head)[0]
+        nodes = int(words[-1])
+        if nodes not in forms:
+            told = [tuple(range(head + nodes + k * width, head + nodes + (k + 1) * width))
+                    for k in range(nodes if width else 0)]
+            forms[nodes] = range(head, head + nodes), told
+        _, stop, more = _words(data, middle, 1, nodes * (1 + width))[0]
+        rows.append(Row(start, stop, words + more, *forms[nodes], int(width == 1), words[0]))
     return Rows(rows, number_before(data, at), rows[-1].stop if rows else at)
 
 
 def segments(data: bytes) -> tuple[Rows, NDArray[np.int64]]:
-    """Rows of segments in the forms that are known, and the numbers (q,) of their edges."""
+    """Rows of segments in the forms that are known, and the numbers (q,) that names give these."""
     dim = re.search(rb"(?m)^[ \t]*dimension\s+(\d)", data)
     for name, form in SEGMENTS.items():
         found = section(data, name)
         if not (found and found[1] and dim):
             continue
         at, count = found
-        lines = data[at:].split(b"\n", count)[:count]
-        if any(len(line.split()) != form.words for line in lines):
+        rows = [Row(*row, range(form.node, form.node + 2), form.parameters, 1, row[2][form.edge])
+                for row in _words(data, at, count, form.words)]
+        # Rows of another form would end elsewhere, or amid a line.
+        if len(rows) < count or not re.compile(rb"\s*\n\s*[#a-z]").match(data, rows[-1].stop):
             continue
-        words = re.compile(rb"\S+").finditer(data, at)
-        rows = []
-        for _ in range(count):
-            row = [next(words) for _ in range(form.words)]
-            rows.append(_row(row, range(form.node, form.node + 2),
-                             [(k,) for k in form.parameters], row[form.edge][0]))
-        place = form.edge if name == rb"edgesegmentsgi3" else LABEL[int(dim[1])]
-        label = np.array([int(row.words[place]) for row in rows], dtype=np.int64)
-        if name == rb"edgesegmentsgi3":
-            told = section(data, rb"edgedescriptors")
-            own = [int(line.split()[0])
-                   for line in (data[told[0]:].split(b"\n", told[1])[: told[1]] if told else ())]
-            label = np.array(own, dtype=np.int64)[label]
+        # Descriptors are counted from 0 on, names of edges from 1 on.
+        place, first = (form.edge, 1) if name == rb"edgesegmentsgi3" else (LABEL[int(dim[1])], 0)
+        label = np.array([int(row.words[place]) + first for row in rows], dtype=np.int64)
         return Rows(rows, number_before(data, at), rows[-1].stop), label
     return Rows([], (0, 0), 0), np.zeros(0, dtype=np.int64)
 
@@ -172,8 +173,12 @@ def lines_of(rows: Sequence[Row], label: NDArray[np.int64]) -> list[NDArray[np.i
     return [own for _, own in each_once("line", nodes, label)]
 
 
-def _row(
-    words: list[re.Match[bytes]], nodes: range, parameters: list[tuple[int, ...]], of: bytes
-) -> Row:
-    return Row(words[0].start(), words[-1].end(), [word[0] for word in words],
-               [word.span() for word in words], nodes, parameters, of)
+@cache
+def _row_of(words: int) -> re.Pattern[bytes]:
+    return re.compile(rb"\S+(?:\s+\S+){%d}" % (words - 1))
+
+
+def _words(data: bytes, at: int, count: int, width: int) -> list[tuple[int, int, list[bytes]]]:
+    """Where rows of so many words start and stop, and their words."""
+    found = islice(_row_of(width).finditer(data, at), count)
+    return [(*row.span(), row[0].split()) for row in found]
