@@ -168,7 +168,7 @@ def test_faces_that_no_longer_correspond_are_not_identified(tmp_path):
     assert measured(tmp_path / "b.vol") == pytest.approx(measured(tmp_path / "a.vol"))
 
 
-@pytest.mark.parametrize("form", ["two lines", "crlf", "blanks"])
+@pytest.mark.parametrize("form", ["two lines", "oldest", "crlf", "blanks"])
 def test_segments_are_read_however_lines_end(form, tmp_path):
     a_ring().Save(str(tmp_path / "a.vol"))
     expected = measured(tmp_path / "a.vol")
@@ -184,8 +184,12 @@ def test_segments_are_read_however_lines_end(form, tmp_path):
         text = b"".join(b"%d 0 %s %s -1 -1\n1 0 %d %s %d %s\n" % (
             int(n) + 1, a, b, int(n) + 1, start, int(n) + 1, stop)
             for a, b, _, _, start, stop, n in rows)
+        section = b"edgesegmentsgi2"
+        if form == "oldest":
+            section = b"edgesegments"
+            text = b"".join(b"%d 0 %s %s\n" % (int(row[6]) + 1, *row[:2]) for row in rows)
         rest = data[head.end():].split(b"\n", int(head[1]))[-1]
-        data = b"%sedgesegmentsgi2\n%d\n%s%s" % (data[: head.start()], len(rows), text, rest)
+        data = b"%s%s\n%d\n%s%s" % (data[: head.start()], section, len(rows), text, rest)
         for name in (b"edgedescriptors", b"face_colours", b"face_transparencies"):
             data = re.sub(name + rb"\n\s*\d+\s[\s\S]*?(?=\n#|\n[a-z])", b"", data)
     (tmp_path / "a.vol").write_bytes(data)

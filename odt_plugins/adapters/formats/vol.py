@@ -63,7 +63,7 @@ FOLLOWED = (rb"dimension|geomtype|facedescriptors|edgedescriptors|materials|bcna
             rb"pointelements|identifications|curvedelements|" + SURFACE + b"|" + VOLUME)
 """Sections that can be told of other points."""
 
-SEGMENTED = rb"|edgesegmentsgi[23]"
+SEGMENTED = rb"|edgesegments(?:gi[23]?)?"
 """Sections that are known in the forms of :data:`vol_tables.SEGMENTS`."""
 
 CURVED = re.compile(rb"(?m)^curvedelements(?:\s+(?:[-+.\deE]+|[ft]))+\s+(?=endmesh)")

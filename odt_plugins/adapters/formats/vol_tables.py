@@ -21,9 +21,6 @@ SURFACE, VOLUME = rb"surfaceelements(?:gi|uv)?", rb"volumeelements"
 HEAD = {SURFACE: 5, VOLUME: 2}
 """Words of a row before its nodes; the last one is the number of these."""
 
-LABEL = {2: 0, 3: 8}
-"""Place of the number of an edge in a row of `edgesegmentsgi2`, by the dimension of the mesh."""
-
 
 class Form(NamedTuple):
     """Where rows of segments have what.
@@ -33,16 +30,17 @@ class Form(NamedTuple):
     words : int              of a row
     node : int               place of the first node; the other one follows
     edge : int               place of the number of the edge, or of its descriptor
-    parameters : two pairs   places of what is told of the nodes, as in :class:`Row`
+    parameters : of Row      places of what is told of the nodes
     """
 
     words: int
     node: int
     edge: int
-    parameters: tuple[tuple[int, int], tuple[int, int]]
+    parameters: Sequence[tuple[int, ...]]
 
 
 SEGMENTS = {
+    rb"edgesegments": Form(4, 2, 0, ()), rb"edgesegmentsgi": Form(6, 2, 0, ((4,), (5,))),
     rb"edgesegmentsgi2": Form(12, 2, 8, ((4, 9), (5, 11))),
     rb"edgesegmentsgi3": Form(7, 0, 6, ((2, 4), (3, 5))),
 }
@@ -161,7 +159,8 @@ def segments(data: bytes) -> tuple[Rows, NDArray[np.int64]]:
         if len(rows) < count or not re.compile(rb"\s*\n\s*[#a-z]").match(data, rows[-1].stop):
             continue
         # Descriptors are counted from 0 on, names of edges from 1 on.
-        place, first = (form.edge, 1) if name == rb"edgesegmentsgi3" else (LABEL[int(dim[1])], 0)
+        first = int(name == rb"edgesegmentsgi3")
+        place = form.edge if first or dim[1] == b"3" else 0
         label = np.array([int(row.words[place]) + first for row in rows], dtype=np.int64)
         return Rows(rows, number_before(data, at), rows[-1].stop), label
     return Rows([], (0, 0), 0), np.zeros(0, dtype=np.int64)
