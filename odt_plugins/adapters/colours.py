@@ -1,4 +1,4 @@
-"""Which whole numbers are colours, and so have others between them, and how these are rounded."""
+"""Which numbers are colours: whole ones have others between them, and no integral says anything."""
 
 from __future__ import annotations
 
@@ -10,6 +10,15 @@ from numpy.typing import NDArray
 
 CHANNEL = re.compile(r"red|green|blue|alpha")
 """Names, in small letters and without anything but letters, of arrays of one part of a colour."""
+
+PAINT = re.compile(r".*colou?rs?")
+"""Such names of arrays of three or four floating-point numbers each that are a colour."""
+
+
+def is_paint(name: str, values: NDArray[Any]) -> bool:
+    """Whether these are floating-point numbers, three or four each, that are called a colour."""
+    return (values.dtype.kind == "f" and values.ndim == 2 and values.shape[1] in (3, 4)
+            and PAINT.fullmatch(re.sub(r"[^a-z]", "", name.lower())) is not None)
 
 
 def is_colour(name: str, values: NDArray[Any]) -> bool:

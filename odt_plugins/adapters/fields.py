@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters.colours import varies
+from odt_plugins.adapters.colours import is_paint, varies
 from odt_plugins.errors import InvalidOptionError
 
 if TYPE_CHECKING:
@@ -54,8 +54,9 @@ def dense(
 
 
 def numbers(fields: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """Take the fields whose integrals and derivatives mean something: no colours of bytes."""
-    return {name: values for name, values in fields.items() if values.dtype.kind in "fc"}
+    """Take the fields whose integrals and derivatives mean something: no colours."""
+    return {name: values for name, values in fields.items()
+            if values.dtype.kind in "fc" and not is_paint(name, values)}
 
 
 def named_metric(host: HostMesh, name: str) -> NDArray[Any]:

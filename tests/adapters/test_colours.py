@@ -15,7 +15,7 @@ import surface_meshes
 import trimesh
 
 import odt_plugins
-from odt_plugins.adapters.colours import is_colour
+from odt_plugins.adapters.colours import is_colour, is_paint
 from odt_plugins.adapters.fields import dense, field_names
 from odt_plugins.adapters.files import read_file, write_file
 from odt_plugins.errors import DataNotKeptWarning, InvalidOptionError
@@ -173,3 +173,15 @@ def test_what_is_a_colour():
     assert not is_colour("RGB", wide.astype(np.uint16))
     assert field_names({"RGB": byte, "vtkGhostType": byte, "label": byte[:, 0]}) == ("RGB",)
     assert dense({"RGB": byte, "red": byte[:, 0], "T": byte[:, 0] * 1.0}).keys() == {"T"}
+
+
+def test_colours_of_open3d_stay_colours_where_integrals_are_kept():
+    mesh = open3d.geometry.TriangleMesh.create_sphere(1.0, 20)
+    mesh.vertex_colors = open3d.utility.Vector3dVector(
+        (np.asarray(mesh.vertices) > 0).astype(np.float64))
+    result = odt_plugins.remesh(mesh, 0.25, envelope=1e-2, fields="conserve")
+    colours = np.asarray(result.vertex_colors)
+    assert [colours.min(), colours.max()] == [0.0, 1.0]
+    assert is_paint("triangle.colors", colours)
+    assert not is_paint("velocity", colours)
+    assert not is_paint("colour", colours[:, 0])
