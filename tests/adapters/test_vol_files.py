@@ -111,6 +111,21 @@ def test_files_of_meshio_keep_the_direction_of_cells(tmp_path):
     assert np.array_equal(np.unique(back.cell_data["netgen:index"][0]), np.unique(labels))
 
 
+def test_lines_of_files_of_meshio_keep_their_labels(tmp_path):
+    points, cells, _ = contract.grid(3, 3)
+    lines = np.array([[0, 1], [1, 2], [0, 3]])
+    meshio.write(tmp_path / "a.vol", meshio.Mesh(
+        points, [("tetra", cells), ("line", lines)],
+        cell_data={"netgen:index": [np.ones(len(cells), int), np.array([4, 4, 7])]}))
+    write_file(tmp_path / "b.vol", anew(read_file(tmp_path / "a.vol")))
+    for name in "ab":
+        mesh = read_file(tmp_path / f"{name}.vol")
+        found = [(set(row), label) for block, labels in zip(
+            mesh.cells, mesh.cell_data["netgen:index"], strict=True) if block.type == "line"
+            for row, label in zip(block.data.tolist(), labels.tolist(), strict=True)]
+        assert sorted(found, key=str) == [({0, 1}, 4), ({0, 3}, 7), ({1, 2}, 4)]
+
+
 @pytest.mark.parametrize("d", [2, 3])
 def test_elements_of_second_order_keep_what_they_fill(d, tmp_path):
     from netgen.csg import CSGeometry, Pnt, Sphere

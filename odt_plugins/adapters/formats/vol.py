@@ -406,8 +406,9 @@ def _told(
     places = np.asarray(change.after.points)[after]
     corners = np.asarray(change.before.points)[[row.points()[:count] for row in own]]
     values = np.array([[row.values(k) for k in range(count)] for row in own])
-    part = (places - corners[:, :1]) @ np.linalg.pinv(corners[:, 1:] - corners[:, :1])
-    told = values[:, :1] + part @ (values[:, 1:] - values[:, :1])
+    part = _parts(places - corners[:, :1], corners[:, 1:] - corners[:, :1])
+    rise = values[:, 1:] - values[:, :1]
+    told = values[:, :1] + (part[..., None] * rise[:, None]).sum(axis=2)
     nearest = ((places[:, :, None] - corners[:, None]) ** 2).sum(axis=3).argmin(axis=2)
     told[..., :numbers] = np.take_along_axis(values, nearest[..., None], axis=1)[..., :numbers]
     came = np.where(change.moved, -1, change.points)[after]
@@ -422,6 +423,20 @@ def _told(
             words += [(place, repr(value if i >= numbers else int(value)).encode())
                       for i, (place, value) in enumerate(zip(at, best, strict=True))]
         out.append(words)
+    return out
+
+
+def _parts(ways: NDArray[Any], sides: NDArray[Any]) -> NDArray[Any]:
+    """How much (m, k, s) of each of one or two sides (m, s, d) there is in ways (m, k, d)."""
+    along = (ways[:, :, None] * sides[:, None]).sum(axis=3)
+    inner = (sides[:, :, None] * sides[:, None]).sum(axis=3)
+    if sides.shape[1] == 1:
+        other, square = along, inner[:, 0, 0]
+    else:
+        other = along * inner[:, None, [1, 0], [1, 0]] - along[..., ::-1] * inner[:, None, :1, 1]
+        square = inner[:, 0, 0] * inner[:, 1, 1] - inner[:, 0, 1] ** 2
+    square = square[:, None, None]
+    out: NDArray[Any] = np.divide(other, square, out=np.zeros_like(other), where=square > 0.0)
     return out
 
 
