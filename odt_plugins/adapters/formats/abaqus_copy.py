@@ -333,8 +333,7 @@ def _set(
     key = (section.part, section.params.get("ELSET", "").upper())
     if section.name == "NSET":
         drop = {number for number in own if (home, number) in names.lost}
-        add = {number for (part, number), known in names.around.items()
-               if part == home and own.issuperset(known)}
+        add = names.joined(home, own)
     elif key in hidden:
         alias = resolved(deck.sections)
         last = [s for s in deck.sections if s.name == "ELSET" and s.part == section.part

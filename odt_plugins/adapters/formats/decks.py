@@ -220,7 +220,6 @@ class Names:
     nodes : (n',) int            number of every node
     parts : list of str          part of every node
     lost : set of Name           nodes that went
-    around : dict                by part and number of a new node the old nodes of an element of it
     of : list of list of int     for every block the number of every element
     slots : list of lists        for every block and old row the new rows in its place
     gone : set of Name
@@ -235,20 +234,18 @@ class Names:
         of = {v: name for name, v in number.items()}
         self.lost = {of[v] for v in np.flatnonzero(change.number < 0).tolist()}
         old = [of.get(v, ("", -1)) for v in change.points.tolist()]
-        self.around: dict[Name, list[int]] = {}
+        self._number, self._change = number, change
         most: dict[str, int] = {}
         for part, n in number:
             most[part] = max(most.get(part, 0), n)
         for b, (part, _) in enumerate(blocks):
             cells = np.asarray(change.after.cells[b].data)
             for row in cells[(change.points[cells] < 0).any(axis=1)].tolist():
-                known = [old[v][1] for v in row if change.points[v] >= 0]
                 home = part if part in most else ""
                 for v in row:
                     if old[v] == ("", -1):
                         most[home] += 1
                         old[v] = (home, most[home])
-                        self.around[old[v]] = known
         self.parts = [part for part, _ in old]
         self.nodes = np.array([n for _, n in old], dtype=np.int64)
         self.of: list[list[int]] = []
@@ -270,6 +267,30 @@ class Names:
             self.gone |= {(part, i) for i in ids if i not in kept}
             self.of.append(names)
             self.slots.append([[i for i, _ in slot] for slot in table])
+
+    def joined(self, part: str, own: set[int]) -> set[int]:
+        """Numbers of the new nodes that join a set of nodes of a part.
+
+        They are those of the elements that come from elements all of whose nodes are in the set: of
+        the dimension whose elements hold most of the set, and of none where that is less than half.
+        """
+        change = self._change
+        inside = np.zeros(len(change.before.points), dtype=np.bool_)
+        inside[[v for (home, n), v in self._number.items() if home == part and n in own]] = True
+        best, found = int(inside.sum()) // 2, np.empty(0, dtype=np.int64)
+        for dim in (3, 2, 1) if inside.any() else ():
+            held, near = np.zeros_like(inside), [found[:0]]
+            for b in range(len(self.of)):
+                rows = np.asarray(change.before.cells[b].data)
+                if change.before.cells[b].dim == dim:
+                    whole = inside[rows].all(axis=1)
+                    held[rows[whole]] = True
+                    near.append(np.asarray(change.after.cells[b].data)[
+                        whole[change.cells[b]]].ravel())
+            if held.sum() > best:
+                best, found = int(held.sum()), np.concatenate(near)
+        return {int(self.nodes[v]) for v in np.unique(found).tolist()
+                if change.points[v] < 0 and self.parts[v] == part}
 
 
 def corners_of(kind: str, rows: NDArray[Any], face: int) -> NDArray[Any]:

@@ -344,7 +344,7 @@ def _members(data: bytes, section: Section, entity: str, names: Names) -> list[E
     own = {int(word) for row in section.rows for word in row.words}
     if entity == "Nodes":
         drop = {number for _, number in names.lost}
-        add = [number for (_, number), known in names.around.items() if own.issuperset(known)]
+        add = sorted(names.joined("", own))
     else:
         drop = {number for kind, number in names.gone if kind == entity}
         add = [new for number in sorted(own) for new in names.fresh.get((entity, number), ())]

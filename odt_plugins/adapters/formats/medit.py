@@ -27,6 +27,12 @@ REF = "medit:ref"
 REQUIRED = "medit:required"
 """Set of the vertices that are required, or of a required edge, triangle or tetrahedron."""
 
+AT_VERTICES = ("Corners", "RequiredVertices")
+"""Sections of numbers of vertices."""
+
+AT_CELLS = {"Ridges": "Edges"} | {f"Required{name}": name for name in CELLS}
+"""Sections of numbers of cells, and the section of these."""
+
 SCALARS = ("MeshVersionFormatted", "Dimension")
 
 
@@ -119,20 +125,30 @@ def write(path: Path, mesh: Any, binary: bool | None = None) -> list[str]:
 
 
 def rewrite(source: Path, target: Path, change: Change) -> list[str]:
-    """Replace the places of vertices that moved, and the optimised cells with their references."""
+    """Replace the places of vertices that moved, and the optimised cells with their references.
+
+    Raises
+    ------
+    NotRewritable    it is binary, what sections refer to was exchanged or went, or vertices came or
+                     went and it has sections that are not known
+    """
     if source.suffix.lower() == ".meshb":
         raise NotRewritable
     data = source.read_bytes()
     words, sections = _parsed(data)
     names = {section.name for section in sections if section.size}
-    if change.renumbered:
-        more = names - {*CELLS, *SCALARS, "Vertices"}
-        msg = f"vertices came or went, and it has {', '.join(sorted(more))}" if more else ""
+    more = names - {*CELLS, *SCALARS, *AT_VERTICES, *AT_CELLS, "Vertices"}
+    if change.renumbered and more:
+        msg = f"vertices came or went, and it has {', '.join(sorted(more))}"
         raise NotRewritable(msg)
     edits: list[tuple[int, int, bytes]] = []
     block = 0
     for section in sections:
-        if section.name == "Vertices":
+        if section.name in AT_VERTICES and change.renumbered:
+            edits += _numbers(words, section, change)
+        if section.name == "Vertices" and change.renumbered:
+            edits += _vertices(data, words, section, change)
+        elif section.name == "Vertices":
             points = np.asarray(change.after.points)
             width = (section.stop - section.start) // max(section.size, 1)
             for v in np.flatnonzero(change.moved).tolist():
@@ -144,9 +160,10 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
         rows, cells = change.cells[block], np.asarray(change.after.cells[block].data)
         fresh = change.exchanged(block)
         same = len(rows) == section.size and np.array_equal(rows, np.arange(section.size))
-        if fresh.any() or not same:
-            if f"Required{section.name}" in names and not same:
-                msg = f"required {section.name.lower()} were exchanged"
+        if fresh.any() or not same or change.renumbered:
+            told = sorted(name for name in names if AT_CELLS.get(name) == section.name)
+            if told and not same:
+                msg = f"{section.name.lower()} were exchanged, and it has {', '.join(told)}"
                 raise NotRewritable(msg)
             edits += _cells(data, words, section, cells, np.asarray(
                 change.after.cell_data[REF][block]), keep=same)
@@ -155,6 +172,44 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
     medit_solution.write(target, np.shape(change.after.points)[1], change.after.point_data)
     stale = "Normals" in names and bool(change.moved.any())
     return ["the normals, which are those of before"] if stale else []
+
+
+def _numbers(
+    words: list[tuple[bytes, int, int]], section: _Section, change: Change
+) -> list[tuple[int, int, bytes]]:
+    """What replaces numbers of vertices.
+
+    Raises
+    ------
+    NotRewritable    one of them went
+    """
+    edits, number = [], change.number
+    for word, start, stop in words[section.start: section.stop]:
+        v = int(number[int(word) - 1])
+        if v < 0:
+            msg = f"a vertex of {section.name} went"
+            raise NotRewritable(msg)
+        edits.append((start, stop, str(v + 1).encode()))
+    return edits
+
+
+def _vertices(
+    data: bytes, words: list[tuple[bytes, int, int]], section: _Section, change: Change
+) -> list[tuple[int, int, bytes]]:
+    """What replaces the section of vertices: those that stay as they stood, the others anew."""
+    end = b"\r\n" if b"\r\n" in data else b"\n"
+    span = words[section.start: section.stop]
+    width = len(span) // section.size
+    moved, points = change.moved.tolist(), np.asarray(change.after.points).tolist()
+    refs = np.asarray(change.after.point_data[REF]).astype(np.int64).tolist()
+    lines = []
+    for i, v in enumerate(change.points.tolist()):
+        if moved[i]:
+            lines.append(" ".join([*map(repr, points[i]), str(refs[i])]).encode())
+        else:
+            lines.append(b" ".join(word[0] for word in span[width * v: width * (v + 1)]))
+    _, start, stop = words[section.start - 1]
+    return [(start, stop, str(len(lines)).encode()), (span[0][1], span[-1][2], end.join(lines))]
 
 
 def _cells(

@@ -1,0 +1,127 @@
+"""Sets of vertices by number, where vertices came or went."""
+
+from __future__ import annotations
+
+import meshio
+import numpy as np
+import pytest
+from boxes import FACES, box
+
+from odt_plugins import remesh
+from odt_plugins.adapters.files import read_file, write_file
+from odt_plugins.api import optimize_file
+
+
+def solid(n=4):
+    """Vertices and cells of a box, and the triangles of its left side."""
+    points, cells = box(3, n)
+    sides = cells[:, FACES].reshape(-1, 3)
+    return points, cells, sides[(points[sides][:, :, 0] == 0).all(axis=1)]
+
+
+def rows(table):
+    return "".join(" ".join(map(str, row)) + "\n" for row in table)
+
+
+def mdpa(path):
+    points, cells, left = solid()
+
+    def part(name, kind, nodes, own):
+        return (f"Begin SubModelPart {name}\nBegin SubModelPartNodes\n"
+                f"{rows([[v + 1] for v in nodes])}End SubModelPartNodes\nBegin SubModelPart{kind}\n"
+                f"{rows([[k + 1] for k in range(own)])}End SubModelPart{kind}\n"
+                "End SubModelPart\n")
+
+    path.write_text(
+        "Begin Properties 1\nEnd Properties\nBegin Nodes\n"
+        + rows([v + 1, *x] for v, x in enumerate(points.tolist()))
+        + "End Nodes\nBegin Elements SmallDisplacementElement3D4N\n"
+        + rows([k + 1, 1, *row] for k, row in enumerate((cells + 1).tolist()))
+        + "End Elements\nBegin Conditions SurfaceLoadCondition3D3N\n"
+        + rows([k + 1, 1, *row] for k, row in enumerate((left + 1).tolist()))
+        + "End Conditions\n" + part("All", "Elements", range(len(points)), len(cells))
+        + part("Left", "Conditions", np.unique(left).tolist(), len(left)))
+
+
+def sections(path):
+    """Rows of every section of Kratos, by the words behind the nested Begins."""
+    out, stack = {}, []
+    for line in path.read_text().splitlines():
+        words = line.split()
+        if words[:1] == ["Begin"]:
+            stack.append(" ".join(words[1:]))
+        elif words[:1] == ["End"]:
+            stack.pop()
+        elif words:
+            out.setdefault("/".join(stack), []).append(words)
+    return out
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("scale", [0.6, 1.5])
+def test_parts_of_kratos_have_the_nodes_of_their_elements_and_conditions(scale, tmp_path):
+    source, target = tmp_path / "a.mdpa", tmp_path / "b.mdpa"
+    mdpa(source)
+    write_file(target, remesh(read_file(source), scale=scale))
+    told = sections(target)
+    for part, kind, table in (
+        ("All", "Elements", "Elements SmallDisplacementElement3D4N"),
+        ("Left", "Conditions", "Conditions SurfaceLoadCondition3D3N"),
+    ):
+        nodes = {v for row in told[table] for v in row[2:]}
+        own = [row[0] for row in told[f"SubModelPart {part}/SubModelPartNodes"]]
+        assert sorted(own) == sorted(nodes)
+        assert {row[0] for row in told[f"SubModelPart {part}/SubModelPart{kind}"]} == {
+            row[0] for row in told[table]}
+
+
+@pytest.mark.filterwarnings("error")
+def test_node_sets_of_sides_take_no_nodes_that_come_inside(tmp_path):
+    source, target = tmp_path / "a.inp", tmp_path / "b.inp"
+    points, cells, left = solid()
+
+    def lines(table):
+        return "".join(", ".join(map(str, row)) + "\n" for row in table)
+
+    sides = [np.flatnonzero(points[:, k] == x) + 1 for k in range(3) for x in (0, 1)]
+    assert np.array_equal(sides[0] - 1, np.unique(left))
+    source.write_text(
+        "*NODE\n" + lines([v + 1, *x] for v, x in enumerate(points.tolist()))
+        + "*ELEMENT, TYPE=C3D4, ELSET=ALL\n"
+        + lines([k + 1, *row] for k, row in enumerate((cells + 1).tolist()))
+        + "".join(f"*NSET, NSET=SIDE{k}\n" + lines([v] for v in side) for k, side in
+                  enumerate(sides)) + "*NSET, NSET=ROW\n1, 2\n")
+    report = optimize_file(source, target, insert=True)
+    assert report.after.n_points > len(points)
+    one, two = source.read_text(), target.read_text()
+    assert one[one.index("*NSET"):] == two[two.index("*NSET"):]
+
+
+@pytest.mark.filterwarnings("error")
+def test_required_sections_of_medit_stay_where_vertices_came(tmp_path):
+    source, target = tmp_path / "a.mesh", tmp_path / "b.mesh"
+    points, cells, left = solid()
+    tail = ("Corners\n2\n1 2\nRequiredVertices\n2\n3\n4\nRequiredTriangles\n2\n1\n4\n"
+            "RequiredEdges\n1\n1\nRidges\n1\n1\nEnd\n")
+    source.write_text(
+        "MeshVersionFormatted 2\n# units: m\nDimension 3\nVertices\n" + f"{len(points)}\n"
+        + rows([*x, v % 3] for v, x in enumerate(points.tolist()))
+        + f"Edges\n1\n{left[0, 0] + 1} {left[0, 1] + 1} 7\nTriangles\n{len(left)}\n"
+        + rows([*row, 4] for row in (left + 1).tolist()) + f"Tetrahedra\n{len(cells)}\n"
+        + rows([*row, 1] for row in (cells + 1).tolist()) + tail)
+    report = optimize_file(source, target, insert=True)
+    assert report.after.n_points > len(points)
+    text = target.read_text()
+    assert text.endswith(tail)
+    assert "# units: m\n" in text
+    plain = tmp_path / "plain.mesh"
+    plain.write_text(text[: text.index("Corners")] + "End\n")
+    theirs = meshio.read(plain)
+    corners = theirs.points[theirs.cells_dict["tetra"]]
+    every = np.linalg.det(corners[:, 1:] - corners[:, :1])
+    assert (every > 0).all()
+    assert every.sum() == pytest.approx(6)
+    assert np.array_equal(theirs.points[theirs.cells_dict["triangle"]], points[left])
+    assert np.array_equal(theirs.points[:4], points[:4])
+    assert np.array_equal(theirs.point_data["medit:ref"][: len(points)],
+                          np.arange(len(points)) % 3)
