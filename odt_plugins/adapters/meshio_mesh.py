@@ -43,6 +43,7 @@ from odt_plugins.adapters.host import (
     is_instance,
 )
 from odt_plugins.adapters.normals import renewed
+from odt_plugins.adapters.point_sets import with_added
 from odt_plugins.adapters.regions import AUTO, Labels, region_labels
 from odt_plugins.adapters.wedges import carried
 from odt_plugins.errors import InvalidMeshError, UnsupportedMeshError, counted
@@ -329,7 +330,9 @@ def _renumber(
                               out.cells[i].data, fresh, np.asarray(entities[i]))
     for name, members in out.point_sets.items():
         old = np.asarray(members)
-        out.point_sets[name] = vertices.number[old].astype(old.dtype)
+        out.point_sets[name] = with_added(
+            indices(members), host.cells, result, vertices, host.regions).astype(
+            np.int64 if old.dtype == np.bool_ else old.dtype)
 
 
 def _with_mid_nodes(

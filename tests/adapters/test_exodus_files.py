@@ -10,6 +10,7 @@ import pytest
 from format_table import mesh_of_everything
 from made_files import SIDES, box, exodus, put
 
+from odt_plugins import remesh
 from odt_plugins.adapters.files import read_file, write_file
 from odt_plugins.api import optimize_file
 from odt_plugins.errors import DataNotKeptWarning
@@ -108,6 +109,54 @@ def test_vtk_reads_blocks_and_sets(tmp_path):
         assert floor.GetNumberOfCells() == len(side_places(tmp_path / "a.e")[0])
     assert seen[0] == seen[1]
     assert ("fault", 10) in seen[0]
+
+
+@pytest.mark.parametrize("scale", [0.6, 1.5])
+def test_sets_and_factors_reach_as_far_as_before_where_vertices_came(scale, tmp_path):
+    points, cells, labels, plane = box()
+    blocks = [cells[labels == label] for label in np.unique(labels)[:2]]
+    exodus(tmp_path / "a.e", "NETCDF4", points, blocks, plane)
+    write_file(tmp_path / "b.e", remesh(
+        read_file(tmp_path / "a.e"), scale=scale, free="periodic"))
+    with netCDF4.Dataset(tmp_path / "b.e") as f:
+        assert len(f.dimensions["time_step"]) == 3
+        now = np.stack([f[f"coord{axis}"][:].data for axis in "xyz"], axis=1)
+        rows = np.concatenate([f["connect1"][:].data, f["connect2"][:].data]) - 1
+        assert len(rows) != len(cells)
+        element, side = f["elem_ss1"][:].data - 1, f["side_ss1"][:].data - 1
+        sides = np.array([rows[e][list(SIDES[s])] for e, s in zip(element, side, strict=True)])
+        factors = f["dist_fact_ss1"][:].data.reshape(-1, 3)
+        assert np.allclose(factors, now[sides].sum(axis=2), atol=1e-12)
+        floor = (np.abs(now[sides][:, :, 2]) < 1e-9).all(axis=1)
+        x = now[sides[floor]]
+        area = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])[:, 2]
+        assert np.abs(area).sum() / 2 == pytest.approx(1)
+        assert np.array_equal(np.sort(f["node_ns2"][:].data) - 1, np.arange(len(now)))
+
+
+def test_nodes_of_a_face_are_those_of_the_finer_one(tmp_path):
+    points, cells, labels, _ = box(4)
+    blocks = [cells[labels == label] for label in np.unique(labels)[:2]]
+    exodus(tmp_path / "a.e", "NETCDF3_64BIT_OFFSET", points, blocks,
+           np.flatnonzero(points[:, 2] == 0))
+    write_file(tmp_path / "b.e", remesh(
+        read_file(tmp_path / "a.e"), scale=0.5, free="periodic"))
+    with netCDF4.Dataset(tmp_path / "b.e") as f:
+        there = np.flatnonzero(np.abs(f["coordz"][:].data) < 1e-9)
+        assert len(there) > (points[:, 2] == 0).sum()
+        assert np.array_equal(np.sort(f["node_ns1"][:].data) - 1, there)
+
+
+def test_vtk_reads_the_places_of_a_new_file(tmp_path):
+    vtk = pytest.importorskip("vtkmodules.vtkIOExodus")
+    points, cells, _, _ = box(3)
+    write_file(tmp_path / "a.e", meshio.Mesh(points, [("tetra", cells)]))
+    reader = vtk.vtkExodusIIReader()
+    reader.SetFileName(str(tmp_path / "a.e"))
+    reader.Update()
+    grid = reader.GetOutput().GetBlock(0).GetBlock(0)
+    assert grid.GetNumberOfPoints() == len(points)
+    assert grid.GetBounds() == (0, 1, 0, 1, 0, 1)
 
 
 def test_in_the_plane_it_stays_in_the_plane(tmp_path):

@@ -139,6 +139,22 @@ def test_groups_numbers_and_fields_stay(gmsh, tmp_path):
             assert np.array_equal(rows[:, 0], t * (numbers[of] - 700))
 
 
+def test_new_nodes_are_in_the_groups_of_the_volume_around_them(gmsh, tmp_path):
+    source, target = tmp_path / "a.med", tmp_path / "b.med"
+    cube(gmsh, source)
+    with_fields(source)
+    mesh = read_file(source)
+    with h5py.File(source, "a") as f:
+        name = next(iter(f["ENS_MAA"]))
+        f["ENS_MAA"][name][STEP]["NOE"]["FAM"][...] = np.where(mesh.points[:, 0] <= 1, 5, 0)
+    write_file(target, remesh(read_file(source), scale=0.6, free="periodic"))
+    with h5py.File(target) as f:
+        nodes = f["ENS_MAA"][name][STEP]["NOE"]
+        points = nodes["COO"][()].reshape((3, -1)).T
+        assert len(points) > len(mesh.points)
+        assert np.array_equal(nodes["FAM"][()] == 5, points[:, 0] <= 1 + 1e-12)
+
+
 def test_new_elements_of_all_kinds_have_numbers_that_nobody_else_has(gmsh, tmp_path):
     source, target = tmp_path / "a.med", tmp_path / "b.med"
     cube(gmsh, source)

@@ -94,7 +94,7 @@ def read(path: Path) -> Any:
                     sets.setdefault(names[number], empty)[i] = np.arange(len(cells[i][1]))
         _element_sets(file, blocks, sets, len(cells))
         mesh = Mesh(points, cells, _node_arrays(file, len(points), steps), cell_data,
-                    cell_sets=sets, point_sets=_node_sets(file, len(points)))
+                    cell_sets=sets, point_sets=node_sets_of(file, len(points)))
     return mesh
 
 
@@ -173,7 +173,7 @@ def side_sets_of(file: Any, blocks: list[Block], space: bool) -> list[Sides]:
     return out
 
 
-def _node_sets(file: Any, n: int) -> dict[str, Any]:
+def node_sets_of(file: Any, n: int) -> dict[str, Any]:
     """Nodes of the sets by name, of those without one by `node_set_` and the id."""
     count = size_of(file, "num_node_sets")
     ids, names = _ids(file, "ns_prop1", "num_node_sets"), texts(file.variables.get("ns_names"),

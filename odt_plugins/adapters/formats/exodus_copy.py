@@ -10,15 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.adapters.formats.change import Change, NotRewritable
+from odt_plugins.adapters.formats.decks import indices
 from odt_plugins.adapters.formats.exodus import (
     AXES,
     Block,
     Sides,
     blocks_of,
+    node_sets_of,
     raw,
     side_sets_of,
     size_of,
 )
+from odt_plugins.adapters.formats.exodus_factors import continued
 from odt_plugins.adapters.formats.exodus_tables import (
     CORNERS,
     ORDER,
@@ -210,19 +213,28 @@ def _write_numbers(source: NDArray[Any], change: Change, values: dict[str, Any])
 def _write_node_sets(
     file: Any, change: Change, values: dict[str, Any], sizes: dict[str, int]
 ) -> None:
-    """Renumber the nodes of sets; those that went are in none, with what the file tells of them."""
+    """Renumber the nodes of sets, and add new ones, with what the file tells of the nearest."""
+    from scipy.spatial import cKDTree
+
     if not change.renumbered:
         return
-    number = change.number
+    number, places = change.number, np.asarray(change.after.points)
+    titles = iter(node_sets_of(file, len(change.before.points)))
     for k in range(size_of(file, "num_node_sets")):
         nodes = file.variables.get(f"node_ns{k + 1}")
         if nodes is None:
             continue
         new = number[np.asarray(nodes[:]).astype(np.int64) - 1]
         kept = np.flatnonzero(new >= 0)
-        values[f"node_ns{k + 1}"] = new[kept] + 1
-        if len(kept) < len(new):
-            _thin(file, nodes.dimensions[0], (f"dist_fact_ns{k + 1}",), kept, values, sizes)
+        own = indices(change.after.point_sets.get(next(titles), []))
+        added = own[change.points[own] < 0]
+        near = np.zeros(0, dtype=np.int64)
+        if len(kept):
+            near = np.asarray(cKDTree(places[new[kept]]).query(places[added])[1])
+        rows = np.concatenate([kept, kept[near]])
+        values[f"node_ns{k + 1}"] = np.concatenate([new[kept], added[: len(near)]]) + 1
+        if len(rows) != len(new) or len(kept) < len(new):
+            _thin(file, nodes.dimensions[0], (f"dist_fact_ns{k + 1}",), rows, values, sizes)
 
 
 def _write_sets(
@@ -292,22 +304,29 @@ def _write_side_sets(
             now = np.asarray(change.after.cells[j].data).astype(np.int64)
             old = elements[place[first: first + len(now)]]
             first += len(now)
-            for i, block in enumerate(blocks):
-                mine = np.flatnonzero((old >= block.start)
-                                      & (old < block.start + len(block.rows)))
+            known = np.zeros(len(now), dtype=np.bool_)
+            found = known.copy()
+            for anywhere, i in [(False, i) for i in range(len(blocks))] + [
+                    (True, i) for i in range(len(blocks))]:
+                block = blocks[i]
+                inside = (old >= block.start) & (old < block.start + len(block.rows))
+                known |= inside
+                mine = np.flatnonzero((known & ~found) if anywhere else inside)
                 if not len(mine):
                     continue
                 rows = np.asarray(change.after.cells[i].data).astype(np.int64)
                 cell, side = facets_in(now[mine][:, : CORNERS[part.kind]], rows, block.kind,
                                        shell=space)
+                mine, cell, side = mine[cell >= 0], cell[cell >= 0], side[cell >= 0]
                 here = first - len(now) + mine
-                if (cell < 0).any():
-                    lost = place[here[cell < 0][0]] + 1
-                    msg = f"side {lost} of side set {k + 1} is none any more"
-                    raise NotRewritable(msg)
+                found[mine] = True
                 new_element[here], new_side[here] = cell + starts[i], side
                 orders |= {e: (now[q], rows[c], block.kind, s) for e, q, c, s in zip(
                     here.tolist(), mine.tolist(), cell.tolist(), side.tolist(), strict=True)}
+            if (known & ~found).any():
+                lost = place[first - len(now) + np.flatnonzero(known & ~found)[0]] + 1
+                msg = f"side {lost} of side set {k + 1} is none any more"
+                raise NotRewritable(msg)
         order = np.argsort(place, kind="stable")
         place, new_element, new_side = place[order], new_element[order], new_side[order]
         orders = {e: orders[old] for e, old in enumerate(order.tolist()) if old in orders}
@@ -320,19 +339,25 @@ def _write_side_sets(
         values[f"elem_ss{k + 1}"], values[f"side_ss{k + 1}"] = new + 1, new_side[entry] + 1
         at = place[entry]
         factors = file.variables.get(f"dist_fact_ss{k + 1}")
-        if not np.array_equal(at, np.arange(len(elements))):
-            given = np.asarray([] if factors is None else factors[:])
-            if given.size and (len(given) % len(elements) or np.ptp(given)):
+        given = np.asarray([] if factors is None else factors[:])
+        same = np.array_equal(at, np.arange(len(elements)))
+        if given.size:
+            nodes = {e: row for _, part in own for e, row in zip(
+                part.places.tolist(), part.rows, strict=True)}
+            new_factors = continued(given, len(elements), [
+                (e, nodes.get(e), orders.get(i)) for e, i in zip(
+                    at.tolist(), entry.tolist(), strict=True)], change, space)
+            if new_factors is None and same and len(orders) == len(elements):
+                new_factors = _turned_factors(
+                    given, [orders[e] for e in range(len(elements))], space)
+            if new_factors is None and not same:
                 msg = f"factors in side set {k + 1} differ, and its sides became others"
                 raise NotRewritable(msg)
-            if factors is not None:
-                much = len(given) // len(elements) * len(at)
-                values[f"dist_fact_ss{k + 1}"] = np.full(much, given[0])
-                sizes[factors.dimensions[0]] = much
+            if new_factors is not None:
+                values[f"dist_fact_ss{k + 1}"] = new_factors
+                sizes[factors.dimensions[0]] = len(new_factors)
+        if not same:
             _thin(file, variable.dimensions[0], (), at, values, sizes)
-        elif factors is not None and len(orders) == len(elements):
-            values[f"dist_fact_ss{k + 1}"] = _turned_factors(
-                np.asarray(factors[:]), [orders[e] for e in range(len(elements))], space)
 
 
 def _turned_factors(factors: NDArray[Any], orders: list[Any], space: bool) -> NDArray[Any]:

@@ -70,7 +70,8 @@ def write(path: Path, mesh: Any, binary: bool | None) -> list[str]:
     with netCDF4.Dataset(str(path), "w") as file:
         file.set_auto_maskandscale(False)
         file.setncatts({"title": "mesh", "version": np.float32(5.1),
-                        "api_version": np.float32(5.1), "floating_point_word_size": np.int32(8)})
+                        "api_version": np.float32(5.1), "floating_point_word_size": np.int32(8),
+                        "file_size": np.int32(1)})
         for name, size in {"num_nodes": len(mesh.points), "num_dim": mesh.points.shape[1],
                            "num_elem": int(starts[-1]), "num_el_blk": len(parts), "len_line": 81,
                            "len_string": _longest(mesh), "four": 4, "time_step": None}.items():

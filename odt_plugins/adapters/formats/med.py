@@ -70,8 +70,8 @@ def read(path: Path) -> Any:
                 msg = f"a {block.kind} refers to node {bad[0] + 1} of {len(points)}"
                 raise MeshFileError(msg)
         families = file[f"FAS/{name}"] if f"FAS/{name}" in file else {}
-        of_cells = _names(families["ELEME"]) if "ELEME" in families else {}
-        of_points = _names(families["NOEUD"]) if "NOEUD" in families else {}
+        of_cells = names_of(families["ELEME"]) if "ELEME" in families else {}
+        of_points = names_of(families["NOEUD"]) if "NOEUD" in families else {}
         point_data: dict[str, Any] = {}
         cell_data: dict[str, Any] = {}
         if "FAM" in step["NOE"]:
@@ -158,7 +158,7 @@ def cells_of(step: Any, points: NDArray[Any]) -> list[Cells]:
             for block in blocks]
 
 
-def _names(families: Any) -> dict[int, list[str]]:
+def names_of(families: Any) -> dict[int, list[str]]:
     """Names of the groups of every family, whatever type the letters have."""
     return {int(family.attrs["NUM"]): [
         word.split(b"\0")[0].decode("utf-8", "replace").strip() for word in words_of(family)]

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.adapters.formats.change import Change, NotRewritable
+from odt_plugins.adapters.formats.decks import indices
 from odt_plugins.adapters.formats.med import (
     LONGEST,
     TURNED,
@@ -18,6 +19,7 @@ from odt_plugins.adapters.formats.med import (
     as_array,
     cells_of,
     fields_of,
+    names_of,
     points_of,
     step_of,
     values_of,
@@ -37,7 +39,9 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
         changed = [_other(change, i, len(block.rows)) for i, block in enumerate(blocks)]
         _expect_known(file, name, change, [b.word for b, other in zip(blocks, changed, strict=True)
                                            if other])
-        _write_points(step["NOE"], change)
+        of_points = f"FAS/{name}/NOEUD"
+        _write_points(
+            step["NOE"], change, names_of(file[of_points]) if of_points in file else {})
         for i, block in enumerate(blocks):
             if changed[i] or change.renumbered:
                 _write_cells(step["MAI"][block.word], block, change, i)
@@ -128,22 +132,38 @@ def _rows(group: Any, name: str, rows: NDArray[np.int64], last: int = 0) -> None
     _counted(group[name], len(rows))
 
 
-def _write_points(group: Any, change: Change) -> None:
+def _write_points(group: Any, change: Change, families: dict[int, list[str]]) -> None:
+    """Write places, families, numbers and names; new points are in families of their groups."""
     points = np.asarray(change.after.points)
     _put(group, "COO", points.ravel(order="F"))
     _counted(group["COO"], len(points))
     if not change.renumbered:
         return
-    if (change.points < 0).any():
-        group_tags = np.where(change.points < 0, 0, 1)
-        if "FAM" in group:
-            _rows(group, "FAM", change.points)
-            group["FAM"][...] = group["FAM"][()] * group_tags
-    elif "FAM" in group:
+    if "FAM" in group:
         _rows(group, "FAM", change.points)
+        numbers = group["FAM"][()]
+        fresh = np.flatnonzero(change.points < 0)
+        numbers[fresh] = _families_of(fresh, change, families)
+        group["FAM"][...] = numbers
     for name in ("NUM", "NOM"):
         if name in group:
             _rows(group, name, change.points)
+
+
+def _families_of(
+    points: NDArray[np.int64], change: Change, families: dict[int, list[str]]
+) -> NDArray[np.int64]:
+    """Number of the family with most of the groups in which each point is, and with no others."""
+    inside = {name: np.isin(points, indices(members))
+              for name, members in change.after.point_sets.items()}
+    out, most = np.zeros((2, len(points)), dtype=np.int64)
+    for number, names in families.items():
+        own = set(names) & inside.keys()
+        if not own or len(own) < len(set(names)):
+            continue
+        better = np.all([inside[name] for name in own], axis=0) & (most < len(own))
+        out[better], most[better] = number, len(own)
+    return out
 
 
 def _write_cells(group: Any, block: Cells, change: Change, i: int) -> None:
