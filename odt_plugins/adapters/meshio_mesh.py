@@ -330,9 +330,10 @@ def _renumber(
                               out.cells[i].data, fresh, np.asarray(entities[i]))
     for name, members in out.point_sets.items():
         old = np.asarray(members)
-        out.point_sets[name] = with_added(
-            indices(members), host.cells, result, vertices, host.regions).astype(
-            np.int64 if old.dtype == np.bool_ else old.dtype)
+        kind = np.int64 if old.dtype == np.bool_ else old.dtype
+        there = vertices.number[indices(members)] if result.split is not None else with_added(
+            indices(members), host.cells, result, vertices, host.regions)
+        out.point_sets[name] = there.astype(kind)
 
 
 def _with_mid_nodes(
