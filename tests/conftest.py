@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import os
 import signal
+import sys
 from collections.abc import Iterator
 
 import numpy as np
@@ -87,3 +88,12 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
     if skipped and os.environ.get("CI") == "true":
         reporter.write_line(f"{skipped} tests were skipped; CI allows none", red=True)
         session.exitstatus = pytest.ExitCode.TESTS_FAILED
+
+
+@pytest.fixture(autouse=True, scope="module")
+def gmsh_ends():
+    """No test finds a session of Gmsh, its models and options, that another file of tests left."""
+    yield
+    gmsh = sys.modules.get("gmsh")
+    if gmsh is not None and gmsh.isInitialized():
+        gmsh.finalize()
