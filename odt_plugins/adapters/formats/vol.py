@@ -85,17 +85,16 @@ def expect_end(path: Path) -> None:
         raise MeshFileError(msg)
 
 
-def identified(path: Path) -> NDArray[np.int64] | None:
+def identified(data: bytes) -> NDArray[np.int64] | None:
     """Points that a file says to correspond to others, as those of periodic faces; None of none."""
     size, named = KEPT[rb"identifications"]
-    rows = table(content(path), rb"identifications", size).rows
+    rows = table(data, rb"identifications", size).rows
     numbers = [int(word) - 1 for row in rows for word in row.words[:named]]
     return np.unique(numbers) if rows else None
 
 
-def names(path: Path) -> dict[str, NDArray[np.int64]]:
+def names(data: bytes) -> dict[str, NDArray[np.int64]]:
     """Numbers and dimensions of materials and boundary conditions that have names."""
-    data = content(path)
     head = re.search(rb"(?m)^[ \t]*dimension\s+(\d)", data)
     found = []
     for behind, name in enumerate(NAMES):
@@ -181,9 +180,10 @@ def completed(path: Path, mesh: Any) -> Any:
     path : path
     mesh : meshio.Mesh    as it was read; one of higher order gets no segments, which are not curved
     """
-    mesh.identified, mesh.field_data = identified(path), names(path)
-    mesh = _with_lines(content(path), mesh)
-    text, _, more = content(path).partition(b"endmesh")
+    data = content(path)
+    mesh.identified, mesh.field_data = identified(data), names(data)
+    mesh = _with_lines(data, mesh)
+    text, _, more = data.partition(b"endmesh")
     lines = any(block.type == "line" for block in mesh.cells)
     known = KNOWN + SEGMENTED * lines
     mesh.info = unread("the sections", [
