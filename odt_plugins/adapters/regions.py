@@ -21,8 +21,8 @@ CHARTS = "charts"
 """What to pass as `regions` to keep the seams of the texture of a curved surface."""
 
 REGION_ARRAYS = ("marker", "gmsh:physical", "gmsh:geometrical", "medit:ref", "cell_tags",
-                 "nastran:ref", "netgen:index", "tetgen:ref", "ugrid:ref", "avsucd:material",
-                 "abaqus:elset", "mdpa:part")
+                 "nastran:part", "nastran:ref", "netgen:index", "tetgen:ref", "ugrid:ref",
+                 "avsucd:material", "abaqus:elset", "mdpa:part")
 """Names that pytetwild.tetrahedralize_csg and the formats of meshio give to the material of a
 cell. The first one that has several values is taken."""
 

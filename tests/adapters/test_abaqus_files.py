@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from boxes import EDGES, FACES, box, quadratic
 
+from odt_plugins import remesh
 from odt_plugins.adapters.files import read_file, write_file
 from odt_plugins.api import optimize_file
 from odt_plugins.errors import DataNotKeptWarning, MeshFileError
@@ -204,6 +205,58 @@ def test_all_else_stays_and_sets_and_faces_follow(kind, end, part, tmp_path):
                 if max(e[a], e[b]) <= corners and e[4 + k] not in before.nodes:
                     mid = (np.array(after.nodes[e[a]]) + after.nodes[e[b]]) / 2
                     assert np.allclose(after.nodes[e[4 + k]], mid)
+
+
+@pytest.mark.parametrize(("scale", "end", "part"), [(0.6, "\n", True), (1.6, "\r\n", False)])
+def test_faces_of_surfaces_and_loads_follow_where_elements_come_and_go(scale, end, part, tmp_path):
+    source, target = tmp_path / "a.inp", tmp_path / "b.inp"
+    deck(source, "C3D4", end, part)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DataNotKeptWarning)
+        mesh = read_file(source)
+    out = remesh(mesh, scale=scale, free=("periodic",))
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*last digits")
+        write_file(target, out)
+    assert around(target.read_bytes()) == around(source.read_bytes())
+    before, after = Told(source), Told(target)
+    assert abs(len(after.elements) - len(before.elements)) > 50
+    assert (after.volumes() > 0).all()
+    for name in before.faces:
+        old, new = before.directed(name), after.directed(name)
+        if name == "*DLOAD":
+            assert sorted(row[3] for row in old) == sorted(row[3] for row in new)
+            continue
+        x = np.array([[after.nodes[v] for v in row] for row in new])
+        area = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]).sum(axis=0) / 2
+        assert area == pytest.approx([0, 0, 1] if name == "LOW" else [-1, 0, 0], abs=1e-9)
+        assert len(new) > len(old) or scale > 1
+    told = re.findall(r"(?m)^(\S+), S(\d)", target.read_text().partition("name=Right")[0])
+    assert all(word == f"_Low_S{face}" or f"_Low_S{face}," not in source.read_text()
+               for word, face in told)
+
+
+def test_loads_of_several_values_meet_where_they_met(tmp_path):
+    points, cells = box(3, 4, plane=0.5)
+    low = boundary(cells, lambda face: (points[face][:, 2] == 0).all())
+    text = "*NODE\n" + rows([[i + 1, *x] for i, x in enumerate(points.tolist())], "\n")
+    text += "*ELEMENT, TYPE=C3D4, ELSET=E\n" + rows(
+        [[i + 1, *row] for i, row in enumerate((cells + 1).tolist())], "\n") + "*STEP\n*STATIC\n"
+    sides = [points[[cells[c][v] for v in FACES[f]]][:, 0].mean() < 0.5 for c, f in low]
+    text += "*DLOAD\n" + rows([(c + 1, f"P{f + 1}", 3 if left else 4) for (c, f), left in
+                               zip(low, sides, strict=True)], "\n") + "*END STEP\n"
+    source, target = tmp_path / "a.inp", tmp_path / "b.inp"
+    source.write_text(text)
+    with pytest.warns(DataNotKeptWarning, match="last digits"):
+        write_file(target, remesh(read_file(source), scale=0.7, free=("periodic",)))
+    told = Told(target)
+    right = {"3": [], "4": []}
+    for *corners, value in told.directed("*DLOAD"):
+        right[value].append([told.nodes[v] for v in corners])
+    for value, x in ((k, np.array(v)) for k, v in right.items()):
+        assert len(x) > len(low) / 2
+        assert abs(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])).sum() / 2 == pytest.approx(0.5)
+        assert (x[:, :, 0] < 0.5 + 1e-9 if value == "3" else x[:, :, 0] > 0.5 - 1e-9).all()
 
 
 @pytest.mark.parametrize("kind", ["CPS3", "CPE3", "CAX3", "S3", "S3R", "STRI3", "M3D3", "DC2D3"])

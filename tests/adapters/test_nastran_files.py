@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from boxes import FACES, box, quadratic
 
+from odt_plugins import remesh
 from odt_plugins.adapters.files import read_file, write_file
 from odt_plugins.api import optimize_file
 from odt_plugins.errors import DataNotKeptWarning, MeshFileError
@@ -165,6 +166,71 @@ def test_all_else_stays_and_loads_stay_on_their_faces(style, end, order, tmp_pat
     if style != "large":
         assert 0 < len(same) < len(nodes2)
     assert all(len(line.rstrip(b"\r\n")) <= 80 for line in new.splitlines() if b"GRID*" in line)
+
+
+@pytest.mark.parametrize(("style", "scale"), [("right", 0.7), ("large", 1.6), ("tabs", 1.6)])
+def test_loads_follow_where_elements_come_and_go(style, scale, tmp_path):
+    source, target = tmp_path / "a.bdf", tmp_path / "b.bdf"
+    deck(source, style)
+    data = source.read_bytes()
+    again = [line.replace("3", "4", 1).replace("1.5", "2.5", 1) for line in data.decode().split(
+        "\n") if line.startswith("PLOAD4")]
+    source.write_bytes(data.replace(b"ENDDATA", "\n".join([*again, "ENDDATA"]).encode()))
+    with pytest.warns(DataNotKeptWarning) as caught:
+        write_file(target, remesh(read_file(source), scale=scale, free=("periodic",)))
+    assert [w for w in caught if "last digits" not in str(w.message)] == []
+    assert around(target.read_bytes()) == around(source.read_bytes())
+    nodes, _, loads, _ = told(target)
+    for value in ("1.5", "2.5"):
+        x = np.array([[nodes[v] for v in face] for face, of in loads if of == value])
+        assert len(x) != len(again)
+        assert abs(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])).sum() / 2 == pytest.approx(
+            1, abs=1e-4)
+        assert np.allclose(x[:, :, 2], 1, atol=1e-4)
+    firsts = {(int(c[2]), int(c[7])) for c in cards(target) if c[0] == "PLOAD4"}
+    cells = told(target)[1]
+    assert all(v in cells[i][2] for i, v in firsts)
+
+
+@pytest.mark.parametrize("scale", [0.6, 1.7])
+def test_loads_on_shells_follow_and_meet_where_they_met(scale, tmp_path):
+    points, cells = box(2, 8, plane=0.5)
+    left = points[cells].mean(axis=1)[:, 0] < 0.5
+    cells = np.concatenate([cells[left], cells[~left]])
+    m, half = len(cells), int(left.sum())
+    lines = ["BEGIN BULK", *(f"GRID,{i + 1},,{v[0]:.6f},{v[1]:.6f},0." for i, v in
+                             enumerate(points.tolist()))]
+    lines += [f"CTRIA3,{i + 1},1,{a},{b},{c}" for i, (a, b, c) in enumerate((cells + 1).tolist())]
+    lines += [f"PLOAD2  3       2.5     1       THRU    {half}",
+              f"PLOAD4,4,{half + 1},1.5,,,,THRU,{m}"]
+    lines += [f"PLOAD2,5,7.5,{','.join(map(str, range(k, min(k + 6, half + 1))))}"
+              for k in range(1, half + 1, 6)]
+    lines += [f"BSURF   9       1       THRU    {half}", f"SET3,11,ELEM,1,THRU,{half},BY,1",
+              "PSHELL,1,1,.1", "ENDDATA", ""]
+    source, target = tmp_path / "a.bdf", tmp_path / "b.bdf"
+    source.write_text("\n".join(lines))
+    mesh = read_file(source)
+    assert {"PLOAD2_3_2.5", "PLOAD4_4_1.5", "PLOAD2_5_7.5", "BSURF_9", "SET3_11"} == set(
+        mesh.cell_sets)
+    with pytest.warns(DataNotKeptWarning) as caught:
+        write_file(target, remesh(mesh, scale=scale))
+    assert [w for w in caught if "last digits" not in str(w.message)] == []
+    nodes = {int(c[1]): [real(x) for x in c[3:6]] for c in cards(target) if c[0] == "GRID"}
+    shells = {int(c[1]): [int(w) for w in c[3:6]] for c in cards(target) if c[0] == "CTRIA3"}
+    assert len(shells) != m
+    own = {}
+    for c in cards(target):
+        if c[0] in ("PLOAD2", "PLOAD4", "BSURF", "SET3"):
+            words = c[2:3] if c[0] == "PLOAD4" else [w for w in c[2:] if w.isdigit()]
+            own.setdefault((c[0], c[1]), []).extend(map(int, words))
+            assert c[0] != "PLOAD4" or "THRU" not in c
+    for (name, _), ids in own.items():
+        x = np.array([[nodes[v] for v in shells[i]] for i in ids])
+        assert len(set(ids)) == len(ids)
+        assert np.linalg.norm(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), axis=1).sum() / 2 == (
+            pytest.approx(0.5, abs=1e-4))
+        assert ((x[:, :, 0] - 0.5) * (1 if name == "PLOAD4" else -1) > -1e-4).all()
+    assert len(own) == 5
 
 
 @pytest.mark.parametrize("style", ["right", "large"])

@@ -9,18 +9,18 @@ from typing import Any
 
 import numpy as np
 
-from odt_plugins.adapters.formats.abaqus import (
+from odt_plugins.adapters.formats.abaqus import cell_sets, faces_only
+from odt_plugins.adapters.formats.abaqus_deck import (
     Deck,
     Section,
     Side,
-    cell_sets,
     face_of,
-    faces_only,
     generated,
     home_of,
     members,
     parsed,
     resolved,
+    side_blocks,
     words_of,
 )
 from odt_plugins.adapters.formats.change import Change, NotRewritable
@@ -28,13 +28,11 @@ from odt_plugins.adapters.formats.decks import (
     Edit,
     Name,
     Names,
-    corners_of,
     deck_of,
     edited,
     faces_of,
     real,
     substituted,
-    turned,
 )
 
 WIDEST = 20
@@ -210,30 +208,28 @@ def _faces(
     deck: Deck, names: Names, change: Change
 ) -> tuple[dict[tuple[str, str], set[Name]], list[Edit]]:
     """Sets that are of faces only, as they are to be, and what replaces lines with faces."""
-    found = _found(deck, names, change)
     hidden = faces_only(deck)
     lines: dict[int, list[Side]] = {}
     places: dict[int, list[tuple[Name, int]]] = {}
-    for side, pairs in zip(deck.sides, found, strict=True):
+    for side, pairs in zip(deck.sides, _found(deck, names, change), strict=True):
         lines.setdefault(side.line, []).append(side)
         places.setdefault(side.line, []).extend(pairs)
-    uses: dict[tuple[str, str], set[int]] = {}
-    for sides in lines.values():
-        key = (deck.sections[sides[0].section].part, words_of(deck.texts[sides[0].line])[0].upper())
-        uses.setdefault(key, set()).add(sides[0].face)
+    uses: dict[tuple[str, str], list[int]] = {}
+    for i, sides in lines.items():
+        uses.setdefault(_key(deck, i, sides), []).append(sides[0].face)
+    _sorted(deck, lines, places, {key for key in hidden if len(uses.get(key, ())) == 1})
     sets: dict[tuple[str, str], set[Name]] = {}
     edits = []
     for i, sides in lines.items():
-        part = deck.sections[sides[0].section].part
-        word = words_of(deck.texts[i])[0]
-        key, face = (part, word.upper()), sides[0].face
+        key, face = _key(deck, i, sides), sides[0].face
+        part, word = key[0], words_of(deck.texts[i])[0]
         pairs = places[i]
         others = {_name(deck, b, r) for b, r in members(deck, part, word)} - {
             _name(deck, side.block, r) for side in sides for r in side.rows}
         pairs += [(name, face) for name in sorted(others)]
         own = {name for name, at in pairs if at == face}
         before = _prefixes(deck, part, word)
-        if key in hidden and uses[key] == {face} and own:
+        if key in hidden and {*uses[key]} == {face} and own:
             sets[key] = own
             pairs = [pair for pair in pairs if pair[1] != face]
             if pairs:
@@ -243,6 +239,30 @@ def _faces(
         if {(name, face) for name in _after(deck, names, part, word)} != set(pairs):
             edits.append(_line_edit(deck, i, _lines_of(deck.texts[i], pairs, [], before)))
     return sets, edits
+
+
+def _key(deck: Deck, i: int, sides: list[Side]) -> tuple[str, str]:
+    """Part and name in capitals of the set of a line with sides."""
+    return deck.sections[sides[0].section].part, words_of(deck.texts[i])[0].upper()
+
+
+def _sorted(
+    deck: Deck, lines: dict[int, list[Side]], places: dict[int, list[tuple[Name, int]]],
+    sets: set[tuple[str, str]],
+) -> None:
+    """Let faces of lines of some sets stand at the line of one that has others of their number."""
+    of_number = {}
+    for i, sides in lines.items():
+        key = _key(deck, i, sides)
+        for part in {deck.blocks[b].part for b, _ in members(deck, *key)} if key in sets else ():
+            more = tuple(words_of(deck.texts[i])[2:])
+            of_number[sides[0].section, more, part, sides[0].face] = i
+    for i, pairs in [*places.items()]:
+        places[i] = []
+        for name, face in pairs:
+            more = tuple(words_of(deck.texts[i])[2:])
+            to = of_number.get((lines[i][0].section, more, name[0], face), i)
+            places[to if _key(deck, i, lines[i]) in sets else i].append((name, face))
 
 
 def _name(deck: Deck, b: int, row: int) -> Name:
@@ -282,26 +302,13 @@ def _after(deck: Deck, names: Names, part: str, word: str) -> set[Name]:
 
 
 def _found(deck: Deck, names: Names, change: Change) -> list[list[tuple[Name, int]]]:
-    """Name of the element and face, of every face of every side.
-
-    Raises
-    ------
-    NotRewritable    a face is no more
-    """
-    wanted = []
-    for side in deck.sides:
-        block = deck.blocks[side.block]
-        wanted.append([turned(row) for row in corners_of(
-            block.kind, block.rows[side.rows], side.face).tolist()])
-    faces = faces_of(change, [block.kind for block in deck.blocks],
-                     {v for rows in wanted for row in rows for v in row})
-    out = []
-    for side, rows in zip(deck.sides, wanted, strict=True):
-        if any(row not in faces for row in rows):
-            msg = f"a face of *{deck.sections[side.section].name} is no more"
-            raise NotRewritable(msg)
-        out.append([((deck.blocks[b].part, names.of[b][i]), face)
-                    for b, i, face in map(faces.__getitem__, rows)])
+    """Name of the element and face, of every face that the faces of every side have become."""
+    kinds = [block.kind for block in deck.blocks]
+    out: list[list[tuple[Name, int]]] = [[] for _ in deck.sides]
+    for m, own in enumerate(side_blocks(deck).values(), len(kinds)):
+        side = np.repeat(own, [len(deck.sides[k].rows) for k in own])[change.cells[m]]
+        for k, (b, i, face) in zip(side.tolist(), faces_of(change, kinds, m), strict=True):
+            out[k].append(((deck.blocks[b].part, names.of[b][i]), face))
     return out
 
 

@@ -293,37 +293,42 @@ class Names:
                 if change.points[v] < 0 and self.parts[v] == part}
 
 
-def corners_of(kind: str, rows: NDArray[Any], face: int) -> NDArray[Any]:
-    """Corners of a face of cells (m, ...) of a type, (m, k)."""
-    return np.asarray(rows[:, FACES[kind][face][: CORNERS[kind]]])
+def faces_of(change: Change, kinds: Sequence[str], block: int) -> list[tuple[int, int, int]]:
+    """Block, row and number of the face of the cells of a result that each row of a block is.
 
-
-def turned(row: list[int]) -> tuple[int, ...]:
-    """Corners of a face, the smallest first, in the same sense."""
-    k = row.index(min(row)) if len(row) > 2 else 0
-    return (*row[k:], *row[:k])
-
-
-def faces_of(
-    change: Change, kinds: Sequence[str], near: set[int]
-) -> dict[tuple[int, ...], tuple[int, int, int]]:
-    """Block, row and number of the face of cells of a result, by corners as :func:`turned`.
+    Where two cells have it, it is that of the one whose corners there have the sense of the row.
 
     Parameters
     ----------
     kinds : types of the blocks of cells that are looked at, the first ones of the mesh
-    near : set of int           points of before; faces that have others are left out
+    block : int    a later one, of faces
+
+    Raises
+    ------
+    NotRewritable    one is no face
     """
-    known = np.zeros(len(change.before.points) + 1, dtype=np.bool_)
-    known[list(near)] = True
+    rows = np.asarray(change.after.cells[block].data)
+    rows = rows[:, : 2 if change.after.cells[block].type.startswith("line") else 3]
+    near = np.zeros(len(change.after.points), dtype=np.bool_)
+    near[rows] = True
     faces: dict[tuple[int, ...], tuple[int, int, int]] = {}
     for b, kind in enumerate(kinds):
-        cells = change.points[change.after.cells[b].data]
+        cells = np.asarray(change.after.cells[b].data)
         for face in range(len(FACES.get(kind, ()))):
-            rows = corners_of(kind, cells, face)
-            for i in np.flatnonzero(known[rows].all(axis=1)).tolist():
-                faces[turned(rows[i].tolist())] = (b, i, face)
-    return faces
+            corners = cells[:, FACES[kind][face][: CORNERS[kind]]]
+            for i in np.flatnonzero(near[corners].all(axis=1)).tolist():
+                faces[_turned(corners[i].tolist())] = (b, i, face)
+    out = [faces.get(_turned(row)) or faces.get(_turned(row[::-1])) for row in rows.tolist()]
+    if None in out:
+        msg = "it refers to a face that is no more"
+        raise NotRewritable(msg)
+    return [found for found in out if found]
+
+
+def _turned(row: list[int]) -> tuple[int, ...]:
+    """Corners of a face, the smallest first, in the same sense."""
+    k = row.index(min(row)) if len(row) > 2 else 0
+    return (*row[k:], *row[:k])
 
 
 def joint_labels(

@@ -17,8 +17,10 @@ from odt_plugins.adapters.formats.decks import (
     DECK,
     FACES,
     HELD,
+    ORDERS,
     REMARKS,
     fits,
+    joint_labels,
     order_of,
     unread,
 )
@@ -26,6 +28,7 @@ from odt_plugins.adapters.formats.nastran_tables import (
     BEAMS,
     ELEMENT,
     KINDS,
+    LISTS,
     MOST,
     NAMED,
     NODES,
@@ -36,6 +39,12 @@ from odt_plugins.errors import MeshFileError
 
 LABEL = "nastran:ref"
 """Array of the properties of elements."""
+
+PART = "nastran:part"
+"""Array of labels of elements, equal where their properties and all that loads say are equal."""
+
+MOST_SETS = 100
+"""Most sets of elements that values of loads make."""
 
 UNEVEN = re.compile(rb"[,\t*$]|[\r\n][^\r\n]")
 """What lines do not have whose fields have eight letters each."""
@@ -137,7 +146,8 @@ class Deck(NamedTuple):
     blocks : list of Block
     held : (k,) int                  points that are named, or lie in a system of their own
     sets : dict of (k,) int          points of every card SPC1
-    sides : list of (card, row, rows of corners)    faces that loads are on
+    sides : list of (card, corners)  faces that loads are on
+    lists : list of (card, title, elements)    those that other loads and sets name, by numbers
     others : list of str             names of elements of other types
     last : int                       largest number of an element
     system : str                     coordinate system of new points, as the cards have it
@@ -152,17 +162,19 @@ class Deck(NamedTuple):
     held: NDArray[np.int64]
     sets: dict[str, NDArray[np.int64]]
     sides: list[tuple[Card, list[int]]]
+    lists: list[tuple[Card, str, set[int]]]
     others: list[str]
     last: int
     system: str
 
 
 def read(path: Path) -> Any:
-    """Read a deck; loads on faces of tetrahedra are triangles, of which each load has a block.
+    """Read a deck; loads on faces of tetrahedra are triangles, in a block for every set of loads.
 
     Returns
     -------
-    meshio.Mesh      a block a type of elements, their properties as labels, points of SPC1 as sets
+    meshio.Mesh      a block a type of elements, their properties as labels, points of SPC1 as sets,
+                     and elements with one load
 
     Raises
     ------
@@ -173,11 +185,18 @@ def read(path: Path) -> Any:
     deck = parsed(path)
     cells: list[Any] = [(block.kind, block.rows) for block in deck.blocks]
     labels: list[Any] = [np.array(block.labels, dtype=np.int64) for block in deck.blocks]
-    if deck.sides:
-        cells.append(("triangle", np.array([rows for _, rows in deck.sides], dtype=np.int64)))
-        labels.append(np.zeros(len(deck.sides), dtype=np.int64))
+    for own in side_blocks(deck).values():
+        told = [tuple(deck.sides[k][0].words[slice(1, 2) if name == "PLOAD" else slice(2, 6)])
+                for k in own for name in [deck.sides[k][0].name]]
+        known = {load: i for i, load in enumerate(dict.fromkeys(told))}
+        cells.append(("triangle", np.array([deck.sides[k][1] for k in own], dtype=np.int64)))
+        labels.append(np.array([known[load] for load in told], dtype=np.int64))
     sets: Any = deck.sets
-    mesh = Mesh(deck.points, cells, cell_data={LABEL: labels}, point_sets=sets)
+    numbers = [block.ids for block in deck.blocks] + [[]] * (len(cells) - len(deck.blocks))
+    members: Any = {title: [np.array([k for k, i in enumerate(ids) if i in own], dtype=np.int64)
+                            for ids in numbers] for title, own in element_sets(deck).items()}
+    data: Any = {LABEL: labels} | _parts(deck, labels, members)
+    mesh = Mesh(deck.points, cells, cell_data=data, point_sets=sets, cell_sets=members)
     setattr(mesh, HELD, deck.held)
     setattr(mesh, DECK, deck)
     mesh.info = unread("what is said by", {
@@ -188,6 +207,22 @@ def read(path: Path) -> Any:
         setattr(mesh, REMARKS, [
             f"elements of type {', '.join(deck.others)} stay as they are with their nodes"])
     return mesh
+
+
+def _parts(deck: Deck, labels: list[Any], members: dict[str, Any]) -> dict[str, Any]:
+    """Labels of elements that are optimised, if sets part them otherwise than properties do."""
+    kind = next((kind for kind in ORDERS if any(b.kind == kind for b in deck.blocks)), "")
+    b = next((b for b, block in enumerate(deck.blocks) if block.kind == kind), -1)
+    if b < 0 or not members:
+        return {}
+    inside = {}
+    for title, own in members.items():
+        inside[title] = np.zeros(len(labels[b]), dtype=np.bool_)
+        inside[title][own[b]] = True
+    joint = joint_labels([labels[b]], inside, deck.blocks[b].rows[:, : len(FACES[kind])])
+    if joint is None or joint.max() == len(np.unique(labels[b])):
+        return {}
+    return {PART: [joint if k == b else np.zeros_like(own) for k, own in enumerate(labels)]}
 
 
 def parsed(path: Path) -> Deck:
@@ -222,9 +257,10 @@ def parsed(path: Path) -> Deck:
     blocks = [block._replace(rows=np.array(block.rows, dtype=np.int64))
               for block in found.values()]
     deck = Deck(data, cards, grids, number, points, blocks,
-                np.unique(np.array(held, dtype=np.int64)), _sets(cards, at), [], sorted(others),
-                last, system)
+                np.unique(np.array(held, dtype=np.int64)), _sets(cards, at), [], [],
+                sorted(others), last, system)
     deck.sides.extend(_sides(deck))
+    deck.lists.extend(_lists(deck))
     return deck
 
 
@@ -320,7 +356,8 @@ def _fields(body: bytes, start: int) -> list[Field]:
 def _named(card: Card, at: dict[int, int], where: Iterable[slice]) -> list[int]:
     """Points that a card names in some of its fields, each or from one THRU another."""
     words = card.words
-    if card.name == "DMIG" and words[1:2] == ["0"]:
+    if (card.name == "DMIG" and words[1:2] == ["0"]) or (
+            card.name == "SET3" and words[1:2] not in (["GRID"], ["POINT"])):
         return []
     out = []
     for part in where:
@@ -363,6 +400,58 @@ def _sides(deck: Deck) -> Iterator[tuple[Card, list[int]]]:
             raise MeshFileError(msg)
         face = next(face for face in FACES["tetra"] if nodes.index(away) not in face)
         yield card, [nodes[k] for k in face[: CORNERS["tetra"]]]
+
+
+def _lists(deck: Deck) -> Iterator[tuple[Card, str, set[int]]]:
+    """Cards that name elements by numbers: the title of what they say, and the elements."""
+    known = {id(card) for card, _ in deck.sides}
+    ids = np.unique([i for block in deck.blocks for i in block.ids])
+    for card in deck.cards:
+        if card.name not in LISTS or id(card) in known:
+            continue
+        words = card.words
+        told, first = LISTS[card.name]
+        if card.name == "SET3" and words[1:2] not in (["ELEM"], ["ELEMENT"]):
+            continue
+        texts = words[first:]
+        if card.name == "PLOAD4":
+            if words[6:7] not in ([], [""], ["THRU"]):
+                continue
+            texts = texts[:1] + words[6:8]
+        title = "_".join([card.name, *(words[k] for k in told if any(words[k: k + 1]))])
+        yield card, title, set(_elements(card, texts, ids))
+
+
+def _elements(card: Card, words: list[str], ids: NDArray[np.int64]) -> Iterator[int]:
+    """Numbers of elements that are there among those that words name, each or in ranges."""
+    words = [word for word in words if word]
+    k = 0
+    while k < len(words):
+        first = last = card.whole(words[k: k + 1])[0]
+        step, k = 1, k + 1
+        if words[k: k + 1] == ["THRU"]:
+            last, k = card.whole(words[k + 1: k + 2])[0], k + 2
+            if words[k: k + 1] == ["BY"]:
+                step, k = card.whole(words[k + 1: k + 2])[0], k + 2
+        near = ids[np.searchsorted(ids, first): np.searchsorted(ids, last, side="right")]
+        yield from near[(near - first) % max(step, 1) == 0].tolist()
+
+
+def element_sets(deck: Deck) -> dict[str, set[int]]:
+    """Numbers of the elements of which cards say the same, or where this is too much name them."""
+    out: dict[str, set[int]] = {}
+    few = len({title for _, title, _ in deck.lists}) <= MOST_SETS
+    for card, title, own in deck.lists:
+        out.setdefault(title if few else f"{card.name}_{card.number(0)}", set()).update(own)
+    return out
+
+
+def side_blocks(deck: Deck) -> dict[tuple[str, int], list[int]]:
+    """Sides by the name and set of their loads, of which each is a block of cells."""
+    out: dict[tuple[str, int], list[int]] = {}
+    for k, (card, _) in enumerate(deck.sides):
+        out.setdefault((card.name, card.number(0)), []).append(k)
+    return out
 
 
 def _placed(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -15,15 +16,23 @@ from odt_plugins.adapters.formats.decks import (
     edited,
     faces_of,
     real,
-    turned,
 )
-from odt_plugins.adapters.formats.nastran import Block, Deck, Field, parsed
+from odt_plugins.adapters.formats.nastran import (
+    Block,
+    Card,
+    Deck,
+    Field,
+    element_sets,
+    parsed,
+    side_blocks,
+)
+from odt_plugins.adapters.formats.nastran_tables import LISTS
 
 TELLING = {"BSURFS": "tetra", "CHBDYE": "t", "QHBDY": "t", "CHACBR": "t"}
 """Cards that tell of sides of elements in ways that do not follow, and of which types."""
 
-LISTING = ("PLOAD2", "PLOAD4", "BSURF", "SET3", "TEMPP1", "TEMPRB", "TEMPP3")
-"""Cards with numbers of elements."""
+LISTING = ("TEMPP1", "TEMPRB", "TEMPP3")
+"""Cards with numbers of elements, which do not follow."""
 
 LETTERS = 16
 """Letters of a number in a large field."""
@@ -39,8 +48,11 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
     NotRewritable    points went that are named, or cards tell of elements that changed
     """
     deck = deck_of(change, source, parsed)
-    names = Names(change, deck.number, [("", block.ids) for block in deck.blocks],
-                  [block.labels for block in deck.blocks], {"": deck.last})
+    sets = [*element_sets(deck).values()]
+    kinds = [[(label, *(k for k, own in enumerate(sets) if i in own))
+              for label, i in zip(block.labels, block.ids, strict=True)] for block in deck.blocks]
+    names = Names(change, deck.number, [("", block.ids) for block in deck.blocks], kinds,
+                  {"": deck.last})
     named = set(deck.held.tolist())
     for members in deck.sets.values():
         named |= set(members.tolist())
@@ -57,6 +69,7 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
             msg = f"it has {bad}, which tells of sides of elements that were exchanged"
             raise NotRewritable(msg)
     edits += _loads(deck, names, change)
+    edits += _lists(deck, names)
     target.write_bytes(edited(deck.data, edits))
     return []
 
@@ -81,6 +94,16 @@ def _put(data: bytes, field: Field, word: bytes) -> Edit:
     right = old[:1] == b" " and old[-1:] != b" "
     return field.start, field.stop, word.rjust(field.width if whole else len(old)) if right else (
         word.ljust(field.width) if whole else word)
+
+
+def _with_numbers(
+    data: bytes, card: Card, fields: list[Field], words: Iterable[tuple[int, int | str]]
+) -> bytes:
+    """Text of a card with other numbers in some of its fields."""
+    edits = [_put(data, fields[k], str(word).encode()) for k, word in words
+             if fields[k].text.lstrip("+0") != str(word)]
+    return edited(data[card.start: card.stop], [
+        (start - card.start, stop - card.start, new) for start, stop, new in edits])
 
 
 def _ends(data: bytes) -> bytes:
@@ -125,48 +148,91 @@ def _elements(data: bytes, block: Block, b: int, names: Names, change: Change) -
         places = [0, *(i for i, field in enumerate(fields[2:], 2) if field.text)]
         text = b""
         for i in slot:
-            edits = [_put(data, fields[k], str(word).encode())
-                     for k, word in zip(places, [names.of[b][i], *nodes[i]], strict=False)
-                     if int(fields[k].text) != word]
-            text += edited(data[card.start: card.stop], [
-                (start - card.start, stop - card.start, new) for start, stop, new in edits])
+            text += _with_numbers(data, card, fields, zip(
+                places, [names.of[b][i], *nodes[i]], strict=False))
         out.append((card.start, card.stop, text))
     return out
 
 
 def _loads(deck: Deck, names: Names, change: Change) -> list[Edit]:
-    """What replaces elements and points in loads on faces.
+    """What replaces cards of loads on faces: one each for every face that theirs has become.
 
     Raises
     ------
-    NotRewritable    a face is no more, or a card lists elements that went or to which others came
+    NotRewritable    a load that differs from corner to corner is on another face
     """
-    faces = faces_of(change, [block.kind for block in deck.blocks],
-                     {v for _, rows in deck.sides for v in rows})
+    kinds = [block.kind for block in deck.blocks]
     edits: list[Edit] = []
-    for card, rows in deck.sides:
-        if turned(rows) not in faces:
-            msg = f"a face of {card.name} is no more"
-            raise NotRewritable(msg)
-        if card.name == "PLOAD":
+    for m, own in enumerate(side_blocks(deck).values(), len(kinds)):
+        parts: dict[int, list[bytes]] = {k: [] for k in own}
+        rows = np.asarray(change.after.cells[m].data)
+        for k, row, old, (b, i, _) in zip(
+                np.array(own)[change.cells[m]].tolist(), rows.tolist(),
+                change.points[rows].tolist(), faces_of(change, kinds, m), strict=True):
+            card, corners = deck.sides[k]
+            same = sorted(old) == sorted(corners)
+            if not same and any(card.words[3:6]) and card.name == "PLOAD4":
+                msg = f"the load of {card.name} {card.words[0]} differs from corner to corner"
+                raise NotRewritable(msg)
+            cell = np.asarray(change.after.cells[b].data)[i, :4].tolist()
+            away = next(v for v in cell if v not in row)
+            words = {1: names.of[b][i], 7: int(names.nodes[away])}
+            words |= {} if same else {6: int(names.nodes[row[0]])}
+            if card.name == "PLOAD":
+                words = {} if same else {j: int(names.nodes[v]) for j, v in enumerate(row, 2)}
+            parts[k].append(_with_numbers(deck.data, card, card.fields, words.items()))
+        for k, texts in parts.items():
+            card = deck.sides[k][0]
+            if texts != [deck.data[card.start: card.stop]]:
+                edits.append((card.start, card.stop, b"".join(texts)))
+    return edits
+
+
+def _lists(deck: Deck, names: Names) -> list[Edit]:
+    """What replaces cards that name elements that went, or to which others came.
+
+    Raises
+    ------
+    NotRewritable    they are of a kind that does not follow
+    """
+    gone = {number for _, number in names.gone}
+    fresh = {number: new for (_, number), new in names.fresh.items()}
+    edits = []
+    for card, _, own in deck.lists:
+        if not own & (gone | fresh.keys()):
             continue
-        b, i, _ = faces[turned(rows)]
-        cells = np.asarray(change.after.cells[b].data)[i, :4]
-        away = next(v for v in cells.tolist() if int(change.points[v]) not in rows)
-        for k, word in ((1, names.of[b][i]), (7, int(names.nodes[away]))):
-            if card.number(k) != word:
-                edits.append(_put(deck.data, card.fields[k], str(word).encode()))
-    known = {id(card) for card, _ in deck.sides}
-    changed = {number for _, number in names.gone | names.fresh.keys()}
+        now = sorted((own - gone) | {i for number in own for i in fresh.get(number, ())})
+        if card.name == "PLOAD4":
+            fields = card.fields
+            blank = [(k, "") for k in (6, 7) if k < len(fields)]
+            parts = [_with_numbers(deck.data, card, fields, [(1, i), *blank]) for i in now]
+            edits.append((card.start, card.stop, b"".join(parts)))
+            continue
+        _, first = LISTS[card.name]
+        head = card.words[:first]
+        most = 8 - first if card.name == "PLOAD2" else len(now)
+        edits.append((card.start, card.stop, b"".join(
+            _card(card.name, [*head, *map(str, now[k: k + most])], _ends(deck.data))
+            for k in range(0, len(now), max(most, 1)))))
     for card in deck.cards:
-        if card.name not in LISTING or id(card) in known:
+        if card.name not in LISTING:
             continue
         texts = card.words
         listed = {int(text) for text in texts[1:] if text.isdigit()}
         if "THRU" in texts[1:-1]:
             k = texts.index("THRU")
-            listed |= {i for i in changed if int(texts[k - 1]) <= i <= int(texts[k + 1])}
-        if listed & changed:
+            listed |= {i for i in gone | fresh.keys()
+                       if int(texts[k - 1]) <= i <= int(texts[k + 1])}
+        if listed & (gone | fresh.keys()):
             msg = f"{card.name} lists elements that went or to which others came"
             raise NotRewritable(msg)
     return edits
+
+
+def _card(name: str, words: list[str], end: bytes) -> bytes:
+    """A card in fields of eight letters, or of sixteen where a word is longer."""
+    large = max(map(len, words)) > 8
+    size, width = (4, 16) if large else (8, 8)
+    lines = [("*" if k and large else "" if k else name + "*" * large).ljust(8) + "".join(
+        word.rjust(width) for word in words[k: k + size]) for k in range(0, len(words), size)]
+    return b"".join(line.encode("latin-1") + end for line in lines)

@@ -70,3 +70,7 @@ NODES, RIGID = (slice(2, None),), (slice(1, None),)
 
 BEAMS, ORIENTED = ("CBAR", "CBEAM"), (slice(4, 5),)
 """Elements with a grid point in the field that tells how they are turned."""
+
+LISTS = {"PLOAD2": ((0, 1), 2), "PLOAD4": ((0, 2, 3, 4, 5), 1), "BSURF": ((0,), 1),
+         "SET3": ((0,), 2)}
+"""Fields of cards that name elements: what they say of them, and the first number."""
