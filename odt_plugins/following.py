@@ -92,7 +92,7 @@ def follow(
     return Followed(vertices, kept, told, changed_integrals(of_points(points, *meshes), *meshes))
 
 
-def expect_overlaps(work: Prepared, options: Options) -> None:
+def expect_overlaps(work: Prepared, given: HostMesh, options: Options) -> None:
     """Refuse meshes whose cells have no exact overlaps with others, if these are asked for.
 
     Raises
@@ -102,7 +102,7 @@ def expect_overlaps(work: Prepared, options: Options) -> None:
     """
     if options.fields != CONSERVE:
         return
-    if work.host.higher_order:
+    if given.higher_order:
         msg = ("got fields='conserve' for cells of higher order; expected linear cells, which are "
                "clipped exactly, try fields='interpolate'")
         raise UnsupportedMeshError(msg)

@@ -13,12 +13,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from odt_plugins.adapters.elevated import elevated, held, linear
 from odt_plugins.adapters.fields import named_array
 from odt_plugins.adapters.host import (
     Adapter,
     HostMesh,
     Result,
-    expect_linear_tetrahedra,
+    expect_tetrahedra,
     words_of,
 )
 from odt_plugins.adapters.kept import (
@@ -37,7 +38,6 @@ from odt_plugins.curved import Kept, keep_curved, untangled_around
 from odt_plugins.errors import (
     InvalidMeshError,
     TangledMeshError,
-    UnsupportedMeshError,
     warn,
 )
 from odt_plugins.following import (
@@ -134,7 +134,7 @@ def run_engine(
         leaving = partial(_as_it_leaves, work._replace(mesh=as_after(work.mesh)), options.threads,
                           onto=moves)
         with words_of(work.host):
-            expect_overlaps(work, options)
+            expect_overlaps(work, given, options)
             if wanted.sizes:
                 options = replace(options, density=named_array(given, wanted.sizes))
             options = of_cells(options, work.own, len(given.cells))
@@ -185,7 +185,7 @@ def run_engine(
             "cell_origin": whence, "plane": work.frame,
             "carrying": transfer_of(work, given, outcome, written, options, whence),
             "interpolated": () if vertices is None else fields,
-            "refused": wanted.refused + ("insert",) * given.higher_order,
+            "refused": wanted.refused + ("insert",) * (given.higher_order and not given.whole),
             "tangle": work.tangle, "curved": curved.facts, "layers": layers,
             "integrals": data.cell_integrals, "point_integrals": data.point_integrals}
     kind = work.host.cells.dtype
@@ -198,6 +198,8 @@ def run_engine(
         locate=locating(work, near) if fields else None, same=same, of_cells=data.of_cells,
         faces=new_faces(work, given, outcome),
     )
+    if given.higher_order and not work.host.higher_order:
+        result = elevated(result, given, locating(work, near))
     return work.adapter.write(result, given), before, outcome, told
 
 
@@ -249,20 +251,25 @@ def _prepare(mesh: Any, options: Options, wanted: Wanted) -> tuple[Prepared, Hos
         host = replace(host, regions=np.asarray(options.regions))
     with words_of(host):
         if options.insert:
-            expect_linear_tetrahedra(host)
-        if wanted.linear and host.higher_order:
-            msg = "got cells of higher order; expected linear ones, whose vertices come and go"
-            raise UnsupportedMeshError(msg)
+            expect_tetrahedra(host)
         flat = flat_points(host)
         own, seen_host = seen(host, flat[0]), host
+        if host.nodes is not None:
+            seen_host = held(host)
+        if host.higher_order and (wanted.linear or options.insert):
+            seen_host = linear(seen_host)
         if own is not None:
-            seen_host, options = without_others(host, options, own)
+            seen_host, options = without_others(seen_host, options, own)
         work = partial(_checked, adapter, flat, options, wanted)
         found = work(seen_host, keep_seams=keep_seams)
         if own is not None:
             notes = (*found.notes, note(len(host.cells) - len(own)))
             return found._replace(own=own, notes=notes), host
         if found.tangle is not None:
+            if host.higher_order and (wanted.linear or options.insert):
+                msg = ("got inverted or flat cells of higher order; expected none where vertices "
+                       "come and go, try untangling the mesh first")
+                raise TangledMeshError(msg)
             return found, host
         same = None if host.higher_order else same_places(host.points, host.cells.astype(np.int64))
         if same is None:

@@ -163,6 +163,7 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
         higher_order=kind.order > 1,
         nodes=nodes if kind.order > 1 else None,
         shape=shape if kind.order > 1 else None,
+        whole=True,
         settle=partial(_settled, mesh),
         geometry=_geometry(mesh, parts, entity, tags, where),
         ids=np.concatenate(ids),
@@ -289,7 +290,7 @@ def _put_on(
 def _new_parts(model: Any, result: Result, host: HostMesh) -> dict[Entity, Part]:
     """The mesh of every entity after optimisation."""
     layout = host.layout
-    if host.higher_order:
+    if host.higher_order and result.cells.shape[1] == host.cells.shape[1]:
         others = [np.concatenate([elements.nodes.ravel() for part in layout.parts.values()
                                   for elements in part.elements
                                   if elements.number != layout.number] or [np.zeros(0, int)])]

@@ -127,6 +127,8 @@ class HostMesh:
     geometry : Geometry or None       that the vertices of the surface are on, and stay on
     nodes : (m, k) int or None        all nodes of the cells of higher order
     shape : (k, d + 1) int or None    whole barycentric weights of these nodes
+    whole : bool                      whether the writer takes cells with all their nodes where
+                                      vertices came and went
     settle : callable or None         puts nodes between the corners where the writer puts them:
                                       takes this, a HigherOrder and the source of its cells
     texture : array or None           texture coordinates: (m, 3, c) of the corners of triangles, or
@@ -154,6 +156,7 @@ class HostMesh:
     geometry: Geometry | None = None
     nodes: NDArray[Any] | None = None
     shape: NDArray[np.int64] | None = None
+    whole: bool = False
     settle: Callable[[Any, Any, NDArray[Any]], Any] | None = None
 
     def densities_of(self, cells: NDArray[Any] | None) -> dict[str, NDArray[Any]]:
@@ -353,14 +356,13 @@ def words_of(host: HostMesh) -> Iterator[None]:
         raise said from exc
 
 
-def expect_linear_tetrahedra(host: HostMesh) -> None:
+def expect_tetrahedra(host: HostMesh) -> None:
     """Refuse meshes into which no vertices can be inserted.
 
     Raises
     ------
     InvalidOptionError
     """
-    what = "triangles" if host.cells.shape[1:] == (3,) else "cells of higher order"
-    if host.higher_order or what == "triangles":
-        msg = f"got insert=True for a mesh of {what}; expected one of linear tetrahedra"
+    if host.cells.shape[1:] == (3,):
+        msg = "got insert=True for a mesh of triangles; expected one of tetrahedra"
         raise InvalidOptionError(msg)

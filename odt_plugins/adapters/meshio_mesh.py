@@ -127,7 +127,8 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
     arrays = {name: _joined(name, values, mesh, chosen)
               for name, values in mesh.cell_data.items()}
     sets = _memberships(mesh, chosen, size)
-    kept = tuple(_kept(mesh, i) for i in _others(mesh, chosen))
+    order = 1 if shape is None else int(shape[0, 0])
+    kept = tuple(_kept(mesh, i, order) for i in _others(mesh, chosen))
     if REQUIRED in mesh.point_sets:
         kept = (*kept, KeptCells("required vertex",
                                  np.asarray(mesh.point_sets[REQUIRED]).reshape(-1, 1)))
@@ -149,14 +150,15 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
         regions=labels.values,
         regions_from=labels.names,
         blocks=np.repeat(np.arange(len(chosen)), size) if len(chosen) > 1 else None,
-        kept=(*kept, *_held_sets(mesh, nodes)),
+        kept=(*kept, *_held_sets(mesh, rows)),
         source=mesh,
         layout=dict(zip(chosen, np.cumsum([0, *size[:-1]]).tolist(), strict=True)),
-        anchors=_anchors(mesh),
+        anchors=_anchors(mesh, rows, nodes.shape[1]),
         coupled=_coupled(mesh),
         higher_order=shape is not None,
         nodes=None if shape is None else rows,
         shape=shape,
+        whole=True,
         ids=np.flatnonzero(np.repeat([block.type == kind for block in mesh.cells], sizes)),
         texture=_texture(arrays, kind),
         total=sum(sizes),
@@ -191,7 +193,7 @@ def write(result: Result, host: HostMesh) -> Any:
     origin = None if result.split is not None else getattr(out, ORIGIN, None)
     origin = None if origin is None else origin._replace(cells=[*origin.cells])
     nodes = None if result.vertices is None else result.vertices.origin
-    if host.higher_order:
+    if host.higher_order and result.cells.shape[1] == host.cells.shape[1]:
         result, nodes = _with_mid_nodes(out, result, host)
     elif result.vertices is not None and (result.faces or result.vertices.renumbered):
         _renumber(out, result, result.vertices, host, origin)
@@ -252,21 +254,32 @@ def _texture(arrays: dict[str, NDArray[Any]], kind: str) -> NDArray[Any] | None:
 
 def _held_sets(mesh: Any, cells: NDArray[Any]) -> tuple[KeptCells, ...]:
     """Vertices of point sets that are no volumes: of which most are in no cell all of the set."""
-    out = []
-    for name, members in mesh.point_sets.items():
-        given = indices(members)
-        given = given[(given >= 0) & (given < len(mesh.points))]
-        whole = cells[_inside(given, len(mesh.points))[cells].all(axis=1)]
-        filled = _inside(np.unique(whole), len(mesh.points))[given]
-        if len(given) and name != REQUIRED and 2 * filled.sum() <= len(given):
-            out.append(KeptCells(f"{SET_VERTEX} {name!r}", given.reshape(-1, 1)))
-    return tuple(out)
+    found = ((name, *_filled(mesh, members, cells)) for name, members in mesh.point_sets.items())
+    return tuple(KeptCells(f"{SET_VERTEX} {name!r}", given.reshape(-1, 1))
+                 for name, given, inside, _ in found
+                 if len(given) and name != REQUIRED and 2 * inside <= len(given))
 
 
-def _anchors(mesh: Any) -> NDArray[Any]:
-    """Vertices of vertex cells and of point sets."""
-    named = [np.asarray(members) for members in mesh.point_sets.values()]
-    named += [np.asarray(block.data) for block in mesh.cells if block.type == "vertex"]
+def _filled(
+    mesh: Any, members: Any, cells: NDArray[Any]
+) -> tuple[NDArray[Any], int, NDArray[Any]]:
+    """Vertices of a set, how many are in cells all of which are in it, and these cells."""
+    given = indices(members)
+    given = given[(given >= 0) & (given < len(mesh.points))]
+    whole = cells[_inside(given, len(mesh.points))[cells].all(axis=1)]
+    return given, int(_inside(np.unique(whole), len(mesh.points))[given].sum()), whole
+
+
+def _anchors(mesh: Any, cells: NDArray[Any], corners: int) -> NDArray[Any]:
+    """Vertices of vertex cells, and of point sets that are no volumes.
+
+    A volume is filled by cells, which are more than half as many as its corners.
+    """
+    named = [np.asarray(block.data) for block in mesh.cells if block.type == "vertex"]
+    for members in mesh.point_sets.values():
+        given, inside, whole = _filled(mesh, members, cells)
+        if 2 * inside <= len(given) or 2 * len(whole) <= len(np.unique(whole[:, :corners])):
+            named.append(given)
     return np.concatenate([np.zeros(0, dtype=np.int64), *(v.ravel() for v in named)])
 
 
@@ -323,16 +336,17 @@ def _renumber(
         if name == NODE_ENTITIES and entities is not None:
             of_cells = np.concatenate([entities[i] for i in host.layout])[result.source]
             fresh = vertices.origin < 0
-            _set_entities(out.point_data[name], result.cells.shape[1] - 1, result.cells, fresh,
+            _set_entities(out.point_data[name], host.cells.shape[1] - 1, result.cells, fresh,
                           of_cells)
-            for i in sorted(others, key=lambda i: -out.cells[i].data.shape[1]):
-                _set_entities(out.point_data[name], out.cells[i].data.shape[1] - 1,
-                              out.cells[i].data, fresh, np.asarray(entities[i]))
+            for i in sorted(others, key=lambda i: -out.cells[i].dim):
+                _set_entities(out.point_data[name], out.cells[i].dim, out.cells[i].data, fresh,
+                              np.asarray(entities[i]))
     for name, members in out.point_sets.items():
         old = np.asarray(members)
         kind = np.int64 if old.dtype == np.bool_ else old.dtype
         there = vertices.number[indices(members)] if result.split is not None else with_added(
-            indices(members), host.cells, result, vertices, host.regions)
+            indices(members), host.cells if host.nodes is None else host.nodes, result, vertices,
+            host.regions, host.shape)
         out.point_sets[name] = there.astype(kind)
 
 
@@ -418,13 +432,15 @@ def _others(mesh: Any, chosen: Container[int]) -> list[int]:
             if i not in chosen and block.type != "vertex" and len(block.data)]
 
 
-def _kept(mesh: Any, i: int) -> KeptCells:
-    """A block that is not optimised; linear faces may become others of the same data and sets."""
+def _kept(mesh: Any, i: int, order: int) -> KeptCells:
+    """A block that is not optimised; faces of cells of some order may become others of the same
+    data and sets.
+    """
     kind, data = mesh.cells[i].type, np.asarray(mesh.cells[i].data)
     if kind not in FACES:
         return KeptCells(kind, data.reshape(-1, 1))
     classes = None
-    if kind in LINEAR:
+    if HIGHER.get(kind, (0, 1))[1] == order and kind not in LAGRANGE:
         columns = [np.asarray(values[i]) for values in mesh.cell_data.values()]
         for name, members in mesh.cell_sets.items():
             if name not in NOT_CELL_INDICES and members[i] is not None:

@@ -14,7 +14,8 @@ ZERO = 1e-9
 
 def with_added(
     members: NDArray[np.integer], cells: NDArray[np.integer], result: Result,
-    vertices: NewVertices, labels: NDArray[np.integer] | None
+    vertices: NewVertices, labels: NDArray[np.integer] | None,
+    shape: NDArray[np.int64] | None = None,
 ) -> NDArray[np.int64]:
     """Points of the result that are in a set, those that were added behind those from before.
 
@@ -29,6 +30,7 @@ def with_added(
     result : Result
     vertices : NewVertices       of that result
     labels : (m,) int or None    regions of the cells of the input
+    shape : (k, d + 1) int       whole barycentric weights of the nodes of cells of higher order
     """
     number: NDArray[np.int64] = vertices.number[members]
     number = number[number >= 0]
@@ -43,12 +45,12 @@ def with_added(
     joins &= away.any(axis=1)
     placed = vertices.placed[new]
     if not _filled(cells[inside[cells].all(axis=1)], members, n):
-        walls = _walls(cells, labels, n)
+        walls = _walls(cells, labels, n, shape)
         if not _filled(walls[inside[walls].all(axis=1)], members, n):
             return number
         of_cells = None if labels is None else labels[result.source]
         on = np.zeros(len(result.points), dtype=np.bool_)
-        on[_walls(result.cells, of_cells, len(result.points))] = True
+        on[_walls(result.cells, of_cells, len(result.points), shape)] = True
         joins &= on[placed] & (away.sum(axis=1) < k)
     return np.concatenate([number, placed[joins]])
 
@@ -61,17 +63,19 @@ def _filled(rows: NDArray[np.integer], members: NDArray[np.integer], n: int) -> 
 
 
 def _walls(
-    cells: NDArray[np.integer], labels: NDArray[np.integer] | None, n: int
+    cells: NDArray[np.integer], labels: NDArray[np.integer] | None, n: int,
+    shape: NDArray[np.int64] | None
 ) -> NDArray[np.int64]:
-    """Facets of one cell alone, or of two of different labels."""
-    k = cells.shape[1]
-    ordered = np.sort(cells, axis=1).astype(np.int64)
-    facets = np.concatenate([np.delete(ordered, i, axis=1) for i in range(k)])
+    """Facets of one cell alone, or of two of different labels, with all their nodes."""
+    weights = np.eye(cells.shape[1], dtype=np.int64) if shape is None else shape
+    d = weights.shape[1]
+    facets = np.concatenate([cells[:, weights[:, i] == 0] for i in range(d)]).astype(np.int64)
     own = np.zeros(len(cells), dtype=np.int64) if labels is None else labels
-    _, first, inverse, count = np.unique(
-        row_keys(facets, n), return_index=True, return_inverse=True, return_counts=True)
+    _, first, inverse, count = np.unique(row_keys(np.sort(facets[:, : d - 1], axis=1), n),
+                                         return_index=True, return_inverse=True,
+                                         return_counts=True)
     inverse = inverse.ravel()
-    label = np.tile(own, k)
+    label = np.tile(own, d)
     differ = np.zeros(len(first), dtype=np.bool_)
     np.logical_or.at(differ, inverse, label != label[first[inverse]])
     return np.asarray(facets[first[(count == 1) | differ]])

@@ -124,6 +124,7 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
         higher_order=wide,
         nodes=nodes if wide else None,
         shape=shape if wide else None,
+        whole=True,
         texture=None if texture is None else texture.reshape(len(texture), -1),
         words=lambda text: text.replace("merging vertices at the same place", "mesh.clean()"),
     )
@@ -133,6 +134,7 @@ def write(result: Result, host: HostMesh) -> Any:
     """Copy the caller's object and exchange its points, cells and cell data."""
     out = host.source.copy(deep=True)
     ids, nodes, _ = host.layout
+    nodes = nodes if result.cells.shape[1] == host.cells.shape[1] else None
     out.cell_data.clear()
     vertices = result.vertices
     number = vertices.number if vertices is not None and vertices.renumbered else None
@@ -232,7 +234,8 @@ def _read_grid(mesh: Any) -> tuple[IndexArray, IndexArray, tuple[KeptCells, ...]
             rows = flat[start[:, None] + np.arange(FACES[other])]
         else:
             rows = flat[_positions(start, size)][:, None]
-        classes = _classes(mesh, which) if other in (LINE, TRIANGLE) else None
+        follow = (LINE, TRIANGLE) if kind in LINEAR else (21, 22)
+        classes = _classes(mesh, which) if other in follow else None
         kept.append(KeptCells(names[other], rows, classes))
     return cells, ids, tuple(kept)
 

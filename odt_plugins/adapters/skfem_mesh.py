@@ -73,22 +73,29 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
     return HostMesh(points, corners, *labels, kept=tuple(kept), source=mesh, layout=nodes,
                     higher_order=order == 2, words=in_words,
                     nodes=nodes if order == 2 else None,
-                    shape=lattice(corners.shape[1] - 1, 2) if order == 2 else None)
+                    shape=lattice(corners.shape[1] - 1, 2) if order == 2 else None, whole=True)
 
 
 def write(result: Result, host: HostMesh) -> Any:
     """Make a mesh of the same class."""
     mesh = host.source
     places, cells = result.points, result.cells
+    number = np.arange(len(places))
     if host.higher_order:
-        shape = lattice(cells.shape[1] - 1, 2)
-        q = with_mid_nodes(result, host.points, host.layout, np.zeros(0, dtype=np.int64), shape)
         # Vertices come first in scikit-fem, then a node for every edge in the order of its own.
-        d, first = cells.shape[1], int(cells.max()) + 1
-        out = replace(mesh, doflocs=q.points.T.copy(), t=cells.T.copy())
+        d = host.cells.shape[1]
+        nodes: Any = result
+        if cells.shape[1] == d:
+            nodes = with_mid_nodes(result, host.points, host.layout, np.zeros(0, dtype=np.int64),
+                                   lattice(d - 1, 2))
+        corners = np.unique(nodes.cells[:, :d])
+        number = np.full(len(nodes.points), -1)
+        number[corners] = np.arange(len(corners))
+        cells = number[nodes.cells[:, :d]].astype(cells.dtype)
+        out = replace(mesh, doflocs=nodes.points.T.copy(), t=cells.T.copy())
         place = np.array(out.doflocs)
-        place[:, :first] = result.points[:first].T
-        place[:, out.dofs.element_dofs[d:].T.ravel()] = q.points[q.cells[:, d:].ravel()].T
+        place[:, : len(corners)] = nodes.points[corners].T
+        place[:, out.dofs.element_dofs[d:].T.ravel()] = nodes.points[nodes.cells[:, d:].ravel()].T
         places = place.T
     out = replace(mesh, doflocs=places.T.copy(), t=cells.T.copy(), _boundaries=None,
                   _subdomains=None)
@@ -99,9 +106,15 @@ def write(result: Result, host: HostMesh) -> Any:
                       for name, mask in inside.items()}
     if boundaries is not None:
         boundaries = {
-            name: _moved_facets(mesh, out, facets, result.faces_of(i, host.kept[i].rows))
+            name: _moved_facets(mesh, out, facets, _renumbered(
+                result.faces_of(i, host.kept[i].rows), number, host.kept[i].rows.shape[1]))
             for i, (name, facets) in enumerate(boundaries.items())}
     return replace(out, _subdomains=subdomains, _boundaries=boundaries)
+
+
+def _renumbered(faces: NewFaces, number: NDArray[Any], corners: int) -> NewFaces:
+    """Corners of faces by their other numbers."""
+    return faces._replace(rows=number[faces.rows[:, :corners]])
 
 
 def in_words(text: str) -> str:

@@ -207,10 +207,13 @@ def test_all_else_stays_and_sets_and_faces_follow(kind, end, part, tmp_path):
                     assert np.allclose(after.nodes[e[4 + k]], mid)
 
 
-@pytest.mark.parametrize(("scale", "end", "part"), [(0.6, "\n", True), (1.6, "\r\n", False)])
-def test_faces_of_surfaces_and_loads_follow_where_elements_come_and_go(scale, end, part, tmp_path):
+@pytest.mark.parametrize(("kind", "scale", "end", "part"), [
+    ("C3D4", 0.6, "\n", True), ("C3D4", 1.6, "\r\n", False), ("C3D10M", 0.6, "\n", True)])
+def test_faces_of_surfaces_and_loads_follow_where_elements_come_and_go(
+    kind, scale, end, part, tmp_path
+):
     source, target = tmp_path / "a.inp", tmp_path / "b.inp"
-    deck(source, "C3D4", end, part)
+    deck(source, kind, end, part)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DataNotKeptWarning)
         mesh = read_file(source)
@@ -227,7 +230,7 @@ def test_faces_of_surfaces_and_loads_follow_where_elements_come_and_go(scale, en
         if name == "*DLOAD":
             assert sorted(row[3] for row in old) == sorted(row[3] for row in new)
             continue
-        x = np.array([[after.nodes[v] for v in row] for row in new])
+        x = np.array([[after.nodes[v] for v in row[:3]] for row in new])
         area = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]).sum(axis=0) / 2
         assert area == pytest.approx([0, 0, 1] if name == "LOW" else [-1, 0, 0], abs=1e-9)
         assert len(new) > len(old) or scale > 1

@@ -168,10 +168,11 @@ def test_all_else_stays_and_loads_stay_on_their_faces(style, end, order, tmp_pat
     assert all(len(line.rstrip(b"\r\n")) <= 80 for line in new.splitlines() if b"GRID*" in line)
 
 
-@pytest.mark.parametrize(("style", "scale"), [("right", 0.7), ("large", 1.6), ("tabs", 1.6)])
-def test_loads_follow_where_elements_come_and_go(style, scale, tmp_path):
+@pytest.mark.parametrize(("style", "scale", "order"), [
+    ("right", 0.7, 1), ("large", 1.6, 1), ("tabs", 1.6, 2)])
+def test_loads_follow_where_elements_come_and_go(style, scale, order, tmp_path):
     source, target = tmp_path / "a.bdf", tmp_path / "b.bdf"
-    deck(source, style)
+    deck(source, style, order=order)
     data = source.read_bytes()
     again = [line.replace("3", "4", 1).replace("1.5", "2.5", 1) for line in data.decode().split(
         "\n") if line.startswith("PLOAD4")]

@@ -292,9 +292,9 @@ def _prefixes(deck: Deck, part: str, word: str) -> dict[str, bytes]:
 
 
 def _after(deck: Deck, names: Names, part: str, word: str) -> set[Name]:
-    """Names of the elements of a set afterwards, or that of one."""
+    """Names of the elements of a set afterwards, or of one that is told by its number."""
     if word.isdigit():
-        return {(part, int(word))} - names.gone
+        return {(part, int(word))}
     out: set[Name] = set()
     for b, r in members(deck, part, word):
         out |= {(deck.blocks[b].part, names.of[b][i]) for i in names.slots[b][r]}

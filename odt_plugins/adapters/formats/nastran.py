@@ -146,7 +146,7 @@ class Deck(NamedTuple):
     blocks : list of Block
     held : (k,) int                  points that are named, or lie in a system of their own
     sets : dict of (k,) int          points of every card SPC1
-    sides : list of (card, corners)  faces that loads are on
+    sides : list of (card, nodes)    faces that loads are on
     lists : list of (card, title, elements)    those that other loads and sets name, by numbers
     others : list of str             names of elements of other types
     last : int                       largest number of an element
@@ -185,11 +185,11 @@ def read(path: Path) -> Any:
     deck = parsed(path)
     cells: list[Any] = [(block.kind, block.rows) for block in deck.blocks]
     labels: list[Any] = [np.array(block.labels, dtype=np.int64) for block in deck.blocks]
-    for own in side_blocks(deck).values():
+    for (_, _, kind), own in side_blocks(deck).items():
         told = [tuple(deck.sides[k][0].words[slice(1, 2) if name == "PLOAD" else slice(2, 6)])
                 for k in own for name in [deck.sides[k][0].name]]
         known = {load: i for i, load in enumerate(dict.fromkeys(told))}
-        cells.append(("triangle", np.array([deck.sides[k][1] for k in own], dtype=np.int64)))
+        cells.append((kind, np.array([deck.sides[k][1] for k in own], dtype=np.int64)))
         labels.append(np.array([known[load] for load in told], dtype=np.int64))
     sets: Any = deck.sets
     numbers = [block.ids for block in deck.blocks] + [[]] * (len(cells) - len(deck.blocks))
@@ -381,9 +381,9 @@ def _sets(cards: list[Card], at: dict[int, int]) -> dict[str, NDArray[np.int64]]
 
 
 def _sides(deck: Deck) -> Iterator[tuple[Card, list[int]]]:
-    """Cards of loads on triangles, and the corners of these."""
+    """Cards of loads on triangles, and the nodes of these."""
     loads = [card for card in deck.cards if card.name in ("PLOAD", "PLOAD4")]
-    rows = {i: nodes for block in deck.blocks if loads and block.kind[:5] == "tetra"
+    rows = {i: (block.kind, nodes) for block in deck.blocks if loads and block.kind[:5] == "tetra"
             for i, nodes in zip(block.ids, block.rows.tolist(), strict=True)}
     for card in loads:
         if card.name == "PLOAD":
@@ -394,12 +394,12 @@ def _sides(deck: Deck) -> Iterator[tuple[Card, list[int]]]:
         if card.number(1) not in rows or not card.number(7):
             continue
         away = deck.number.get(("", card.number(7)))
-        nodes = rows[card.number(1)][:4]
-        if away not in nodes:
+        kind, nodes = rows[card.number(1)]
+        if away not in nodes[:4]:
             msg = f"PLOAD4 names grid {card.number(7)}, which its element does not have"
             raise MeshFileError(msg)
-        face = next(face for face in FACES["tetra"] if nodes.index(away) not in face)
-        yield card, [nodes[k] for k in face[: CORNERS["tetra"]]]
+        face = next(face for face in FACES[kind] if nodes.index(away) not in face)
+        yield card, [nodes[k] for k in face]
 
 
 def _lists(deck: Deck) -> Iterator[tuple[Card, str, set[int]]]:
@@ -446,11 +446,12 @@ def element_sets(deck: Deck) -> dict[str, set[int]]:
     return out
 
 
-def side_blocks(deck: Deck) -> dict[tuple[str, int], list[int]]:
-    """Sides by the name and set of their loads, of which each is a block of cells."""
-    out: dict[tuple[str, int], list[int]] = {}
-    for k, (card, _) in enumerate(deck.sides):
-        out.setdefault((card.name, card.number(0)), []).append(k)
+def side_blocks(deck: Deck) -> dict[tuple[str, int, str], list[int]]:
+    """Sides by name and set of their loads and type of cells, of which each is a block of cells."""
+    out: dict[tuple[str, int, str], list[int]] = {}
+    for k, (card, rows) in enumerate(deck.sides):
+        kind = "triangle" if len(rows) == CORNERS["tetra"] else "triangle6"
+        out.setdefault((card.name, card.number(0), kind), []).append(k)
     return out
 
 

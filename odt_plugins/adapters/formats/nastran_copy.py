@@ -165,12 +165,12 @@ def _loads(deck: Deck, names: Names, change: Change) -> list[Edit]:
     edits: list[Edit] = []
     for m, own in enumerate(side_blocks(deck).values(), len(kinds)):
         parts: dict[int, list[bytes]] = {k: [] for k in own}
-        rows = np.asarray(change.after.cells[m].data)
+        rows = np.asarray(change.after.cells[m].data)[:, :3]
         for k, row, old, (b, i, _) in zip(
                 np.array(own)[change.cells[m]].tolist(), rows.tolist(),
                 change.points[rows].tolist(), faces_of(change, kinds, m), strict=True):
             card, corners = deck.sides[k]
-            same = sorted(old) == sorted(corners)
+            same = sorted(old) == sorted(corners[:3])
             if not same and any(card.words[3:6]) and card.name == "PLOAD4":
                 msg = f"the load of {card.name} {card.words[0]} differs from corner to corner"
                 raise NotRewritable(msg)

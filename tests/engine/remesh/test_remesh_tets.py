@@ -18,7 +18,7 @@ import odt_plugins.engine.remesh.volume as remesh_volume
 from odt_plugins.engine.cells.measures import QUALITY
 from odt_plugins.engine.moves.passes import measures
 from odt_plugins.engine.run.outcome import unchanged
-from odt_plugins.errors import InvalidOptionError, UnsupportedMeshError
+from odt_plugins.errors import InvalidOptionError
 
 DATA = Path(__file__).parents[2] / "data"
 
@@ -178,12 +178,6 @@ def test_where_the_envelope_forbids_the_size_the_nearest_one_comes_and_is_told()
     assert any("sizes are smaller than asked for" in note for note in report.notes)
     assert report.binding
     assert not any("insert" in cell.hint for cell in report.binding)
-
-
-def test_cells_of_higher_order_are_refused(box):
-    points, cells = boxes.quadratic(*box)
-    with pytest.raises(UnsupportedMeshError, match="higher order"):
-        odt_plugins.remesh(meshio.Mesh(points, [("tetra10", cells)]), scale=1)
 
 
 def test_triangles_with_labels_stay_facets_and_a_linear_field_stays_itself(box):

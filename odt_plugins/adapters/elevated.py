@@ -1,0 +1,167 @@
+"""Quadratic cells with straight edges whose vertices come and go: as linear ones, and back.
+
+The corners are remeshed; every edge then has its node in the middle. The node of an edge that is
+still there is the one that it had, bit for bit where its corners did not move.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odt_plugins.adapters.higher_order import shape_values
+from odt_plugins.adapters.host import HostMesh, KeptCells, NewFaces, NewVertices, Result
+from odt_plugins.errors import UnsupportedMeshError, counted
+from odt_plugins.mesh.facets import row_keys
+
+STRAIGHT = 1e-3
+"""Largest distance of a node from the middle of its edge, in lengths of the edge, for which the
+edge is straight."""
+
+
+def held(host: HostMesh) -> HostMesh:
+    """The same mesh of higher order; where a node that stays is between corners, these stay too."""
+    nodes, shape = np.asarray(host.nodes, dtype=np.int64), np.asarray(host.shape)
+    corners = shape.shape[1]
+    alone = np.isin(nodes[:, corners:], _alone(host))
+    kept: list[KeptCells] = []
+    for k in np.flatnonzero(alone.any(axis=0)).tolist():
+        rows = nodes[alone[:, k]][:, np.flatnonzero(shape[corners + k])]
+        kept.append(KeptCells("corner", rows.reshape(-1, 1)))
+        if rows.shape[1] == 2:
+            kept.append(KeptCells("edge", rows))
+    return replace(host, kept=(*host.kept, *kept)) if kept else host
+
+
+class Edges(NamedTuple):
+    """Edges of quadratic cells, each once: ends (k, 2), ascending, and node (k,)."""
+
+    ends: NDArray[np.int64]
+    node: NDArray[np.int64]
+
+
+def linear(host: HostMesh) -> HostMesh:
+    """The same mesh of the corners alone.
+
+    Raises
+    ------
+    UnsupportedMeshError    cells that are not quadratic, curved edges, or a toolkit that does not
+                            take them back
+    """
+    if host.nodes is None or host.shape is None or int(host.shape[0, 0]) != 2 or not host.whole:
+        msg = "got cells of higher order; expected linear ones, whose vertices come and go"
+        raise UnsupportedMeshError(msg)
+    edges = _edges(host)
+    a, b = (np.asarray(host.points, dtype=np.float64)[end] for end in edges.ends.T)
+    off = np.sqrt(((host.points[edges.node] - 0.5 * (a + b)) ** 2).sum(axis=1))
+    curved = np.flatnonzero(off > STRAIGHT * np.sqrt(((b - a) ** 2).sum(axis=1)))
+    if curved.size:
+        k = curved[0]
+        msg = (f"got {counted(curved.size, 'curved edge')} of quadratic cells (node "
+               f"{edges.node[k]} is {off[k]:.3g} off the middle of {edges.ends[k].tolist()}); "
+               "expected straight ones where vertices come and go, try the corners alone")
+        raise UnsupportedMeshError(msg)
+    return replace(host, higher_order=False, nodes=None, shape=None, settle=None)
+
+
+def elevated(
+    result: Result, host: HostMesh, locate: Callable[[NDArray[Any], NDArray[Any]], Any]
+) -> Result:
+    """Put a node on every edge of the result of :func:`linear`.
+
+    Parameters
+    ----------
+    result : Result      of the corners; nodes of before are vertices that no cell has
+    host : HostMesh      with all nodes
+    locate : callable    input cells around places near some input cells, and coordinates there
+    """
+    n, rows = len(host.points), np.asarray(result.cells, dtype=np.int64)
+    shape: Any = host.shape
+    nodes: Any = host.nodes
+    pairs = _pairs(shape)
+    vertices = result.vertices
+    number = np.arange(n) if vertices is None else vertices.number
+    origin = np.arange(n) if vertices is None else vertices.origin
+    points = np.asarray(result.points)
+    old = _edges(host)
+    old = Edges(np.sort(number[old.ends], axis=1), old.node)
+    alive = (old.ends >= 0).all(axis=1)
+    ends = np.sort(rows[:, pairs].reshape(-1, 2), axis=1)
+    key = row_keys(np.concatenate([ends, old.ends[alive]]), len(points))
+    _, first, inverse = np.unique(key[: len(ends)], return_index=True, return_inverse=True)
+    ends = ends[first]
+    order = np.argsort(key[len(rows) * len(pairs):])
+    known = key[len(rows) * len(pairs):][order]
+    place = np.minimum(np.searchsorted(known, key[first]), len(known) - 1)
+    stays = known[place] == key[first]
+    node = np.full(len(ends), -1, dtype=np.int64)
+    node[stays] = old.node[alive][order][place[stays]]
+
+    there = np.ones(len(points), dtype=np.bool_)
+    gone = np.setdiff1d(old.node, np.concatenate([node[stays], _alone(host)]))
+    there[number[gone]] = False
+    index = np.where(there, np.cumsum(there) - 1, -1)
+    middle = 0.5 * (points[ends[:, 0]].astype(np.float64) + points[ends[:, 1]])
+    shifted = (origin[ends] < 0).any(axis=1) | (
+        points[ends] != np.asarray(host.points)[origin[ends]]).any(axis=(1, 2))
+    out = np.concatenate([points[there], middle[~stays].astype(points.dtype)])
+    at = np.empty(len(ends), dtype=np.int64)
+    at[stays] = index[number[node[stays]]]
+    at[~stays] = there.sum() + np.arange((~stays).sum())
+    out[at[stays & shifted]] = middle[stays & shifted]
+
+    cells = np.concatenate([index[rows], at[inverse.reshape(len(rows), -1)]], axis=1)
+    origin = np.concatenate([origin[there], np.full((~stays).sum(), -1)])
+    number = np.where(number < 0, -1, index[number])
+    new = origin < 0
+    if result.locate is not None:
+        new = new | (out != np.asarray(host.points)[origin]).any(axis=1)
+    near = np.zeros(len(out), dtype=np.int32)
+    near[cells] = result.source[:, None]
+    placed = np.flatnonzero(new)
+    which, weights = locate(out[placed].astype(np.float64), near[placed])
+    followed = NewVertices(origin, number, placed, nodes[which].astype(np.int32),
+                           shape_values(shape, weights))
+    number_of = dict(zip(map(tuple, ends.tolist()), at.tolist(), strict=True))
+    faces = tuple(faces and NewFaces(_with_middles(faces.rows, index, number_of), faces.source)
+                  for faces in result.faces)
+    kind = result.cells.dtype
+    if kind.kind != "f":
+        kind = np.promote_types(kind, np.min_scalar_type(len(out) - 1))
+    return result._replace(points=out, cells=cells.astype(kind), vertices=followed, locate=None,
+                           faces=faces)
+
+
+def _with_middles(
+    rows: NDArray[np.int64], index: NDArray[np.int64], number_of: dict[Any, int]
+) -> NDArray[np.int64]:
+    """Lines or triangles of the corners with the nodes of their edges behind."""
+    pairs = [(0, 1), (1, 2), (2, 0)] if rows.shape[1] == 3 else [(0, 1)]
+    ends = np.sort(rows[:, pairs], axis=2)
+    middles = [[number_of[tuple(edge)] for edge in edges] for edges in ends.tolist()]
+    return np.concatenate([index[rows], np.array(middles, dtype=np.int64).reshape(
+        len(rows), len(pairs))], axis=1)
+
+
+def _pairs(shape: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Corners (e, 2) around every node between them."""
+    return np.array([np.flatnonzero(weights) for weights in shape[shape.shape[1]:]])
+
+
+def _edges(host: HostMesh) -> Edges:
+    """Edges of all cells."""
+    nodes, shape = np.asarray(host.nodes, dtype=np.int64), np.asarray(host.shape)
+    corners = shape.shape[1]
+    node, first = np.unique(nodes[:, corners:].ravel(), return_index=True)
+    return Edges(np.sort(nodes[:, _pairs(shape)].reshape(-1, 2)[first], axis=1), node)
+
+
+def _alone(host: HostMesh) -> NDArray[np.int64]:
+    """Nodes that must stay, whatever else does."""
+    own = [np.asarray(rows, dtype=np.int64).ravel() for _, rows, _ in host.kept
+           if rows.shape[1] == 1]
+    return np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *own]))
