@@ -87,7 +87,7 @@ def remesh(
     Raises
     ------
     InvalidOptionError        sizes that are not positive lengths, too small, or for too many cells
-    UnsupportedMeshError      cells of higher order
+    UnsupportedMeshError      curved cells of higher order, or such of another order than the second
 
     References
     ----------

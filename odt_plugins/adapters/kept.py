@@ -59,7 +59,8 @@ def protect(
     mesh : SimplexMesh
     kept : tuple of KeptCells    a line or triangle on the boundary or on an interface stays
                                  anyway; for one inside the cells around are parted into more
-                                 regions, of the same body; of anything else the vertices are fixed
+                                 regions, of the same body; of anything else the vertices are
+                                 fixed; facets between vertices that a file names stay with these
     anchors : (k,) int           vertices that must not be removed; none out of range counts
     free : bool                  whether the vertices of lines and triangles inside may move
     resized : bool               whether those with classes may become others
@@ -93,6 +94,8 @@ def protect(
             if rows.shape[1] == 2:
                 lines.append(_edges(rows[held]))
             rows = rows[~held]
+        elif kind == NAMED_VERTEX:
+            stays.append(_edges(_facets_of(mesh, rows.ravel())))
         loose.append(rows.ravel())
     anchored = _anchored(anchors, n)
     if not free:
@@ -103,6 +106,21 @@ def protect(
     safe = with_same_cells(mesh, fixed=fixed, stays=np.concatenate(stays), faces=faces,
                            lines=np.concatenate(lines), anchored=anchored)
     return _parted(safe, inner) if inner else safe
+
+
+def _facets_of(mesh: SimplexMesh, vertices: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Facets of the boundary and of interfaces all of whose corners are among some vertices."""
+    among = np.zeros(len(mesh.points), dtype=np.bool_)
+    among[vertices] = True
+    k = mesh.cells.shape[1]
+    near = np.flatnonzero(among[mesh.cells].sum(axis=1) >= k - 1)
+    if not near.size:
+        return np.zeros((0, k - 1), dtype=np.int64)
+    stay = _staying_facets(mesh, near)
+    ordered = np.sort(mesh.cells[near], axis=1).astype(np.int64)
+    found = np.concatenate([np.delete(ordered, i, axis=1)[stay[:, i]] for i in range(k)])
+    held: NDArray[np.int64] = found[among[found].all(axis=1)]
+    return held
 
 
 def _anchored(anchors: NDArray[Any] | None, n: int) -> BoolArray:
@@ -214,6 +232,9 @@ def protect_surface(
             elif others:
                 stays.append(lines[-1])
             rows = rows[~held]
+        elif kind == NAMED_VERTEX and others:
+            among = np.isin(pairs, rows)
+            stays.append(pairs[among.all(axis=1)].astype(np.int32))
         loose.append(rows.ravel())
     faces = _named(named, 2), no_faces()[1]
     fixed = mesh.fixed | ends_of(faces[0], n)

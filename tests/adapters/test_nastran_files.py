@@ -193,6 +193,29 @@ def test_loads_follow_where_elements_come_and_go(style, scale, order, tmp_path):
     assert all(v in cells[i][2] for i, v in firsts)
 
 
+@pytest.mark.parametrize("by_card", [False, True])
+def test_new_points_between_constrained_ones_are_constrained_or_do_not_come(by_card, tmp_path):
+    points, cells = box(3, 4)
+    lines = ["BEGIN BULK", *(f"GRID,{i + 1},,{v[0]:.6f},{v[1]:.6f},{v[2]:.6f}"
+                             for i, v in enumerate(points.tolist()))]
+    lines += ["CTETRA," + ",".join(map(str, [i + 1, 1, *row])) for i, row in
+              enumerate((cells + 1).tolist())]
+    foot = (np.flatnonzero(points[:, 2] == 0) + 1).tolist()
+    lines += [f"SPC,1,{i},123,0." for i in foot] if by_card else [
+        f"SPC1,1,123,{','.join(map(str, foot[k: k + 6]))}" for k in range(0, len(foot), 6)]
+    source, target = tmp_path / "a.bdf", tmp_path / "b.bdf"
+    source.write_text("\n".join([*lines, "ENDDATA", ""]))
+    with pytest.warns(DataNotKeptWarning, match="last digits"):
+        write_file(target, remesh(read_file(source), scale=0.6, free=("periodic",)))
+    found = cards(target)
+    nodes = {int(c[1]): [real(x) for x in c[3:6]] for c in found if c[0] == "GRID"}
+    assert len(nodes) > 1.5 * len(points)
+    held = {int(c[2]) for c in found if c[0] == "SPC"} | {
+        int(w) for c in found if c[0] == "SPC1" for w in c[3:] if w}
+    assert held == {i for i, x in nodes.items() if abs(x[2]) < 1e-12}
+    assert held >= set(foot)
+
+
 @pytest.mark.parametrize("scale", [0.6, 1.7])
 def test_loads_on_shells_follow_and_meet_where_they_met(scale, tmp_path):
     points, cells = box(2, 8, plane=0.5)

@@ -369,15 +369,19 @@ def _named(card: Card, at: dict[int, int], where: Iterable[slice]) -> list[int]:
     return out
 
 
-def _sets(cards: list[Card], at: dict[int, int]) -> dict[str, NDArray[np.int64]]:
-    """Points of the cards SPC1, by their number and components."""
-    found: dict[str, list[int]] = {}
+def spc1_of(cards: list[Card]) -> dict[str, list[Card]]:
+    """Cards SPC1 by their number and components."""
+    found: dict[str, list[Card]] = {}
     for card in cards:
         if card.name == "SPC1":
-            words = card.words
-            found.setdefault(f"SPC1_{card.number(0)}_{words[1]}", []).extend(
-                _named(card, at, (slice(2, None),)))
-    return {name: np.unique(np.array(nodes, dtype=np.int64)) for name, nodes in found.items()}
+            found.setdefault("_".join(["SPC1", *card.words[:2]]), []).append(card)
+    return found
+
+
+def _sets(cards: list[Card], at: dict[int, int]) -> dict[str, NDArray[np.int64]]:
+    """Points of the cards SPC1, by their number and components."""
+    return {name: np.unique(np.array([v for card in own for v in _named(
+        card, at, (slice(2, None),))], dtype=np.int64)) for name, own in spc1_of(cards).items()}
 
 
 def _sides(deck: Deck) -> Iterator[tuple[Card, list[int]]]:

@@ -15,6 +15,7 @@ from odt_plugins.adapters.formats.decks import (
     deck_of,
     edited,
     faces_of,
+    indices,
     real,
 )
 from odt_plugins.adapters.formats.nastran import (
@@ -25,6 +26,7 @@ from odt_plugins.adapters.formats.nastran import (
     element_sets,
     parsed,
     side_blocks,
+    spc1_of,
 )
 from odt_plugins.adapters.formats.nastran_tables import LISTS
 
@@ -53,10 +55,7 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
               for label, i in zip(block.labels, block.ids, strict=True)] for block in deck.blocks]
     names = Names(change, deck.number, [("", block.ids) for block in deck.blocks], kinds,
                   {"": deck.last})
-    named = set(deck.held.tolist())
-    for members in deck.sets.values():
-        named |= set(members.tolist())
-    if {deck.number[name] for name in names.lost} & named:
+    if {deck.number[name] for name in names.lost} & set(deck.held.tolist()):
         msg = "grid points went that it refers to"
         raise NotRewritable(msg)
     edits = _grids(deck, names, change)
@@ -70,6 +69,7 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
             raise NotRewritable(msg)
     edits += _loads(deck, names, change)
     edits += _lists(deck, names)
+    edits += _constraints(deck, names, change)
     target.write_bytes(edited(deck.data, edits))
     return []
 
@@ -226,6 +226,20 @@ def _lists(deck: Deck, names: Names) -> list[Edit]:
         if listed & (gone | fresh.keys()):
             msg = f"{card.name} lists elements that went or to which others came"
             raise NotRewritable(msg)
+    return edits
+
+
+def _constraints(deck: Deck, names: Names, change: Change) -> list[Edit]:
+    """What replaces cards SPC1 of sets that have other points."""
+    edits: list[Edit] = []
+    number = names.nodes.tolist()
+    for title, own in spc1_of(deck.cards).items():
+        now = change.after.point_sets.get(title)
+        if now is None or np.array_equal(np.sort(change.points[indices(now)]), deck.sets[title]):
+            continue
+        words = [*own[0].words[:2], *map(str, sorted(number[v] for v in indices(now).tolist()))]
+        texts = [_card("SPC1", words, _ends(deck.data)), *[b""] * (len(own) - 1)]
+        edits += [(card.start, card.stop, text) for card, text in zip(own, texts, strict=True)]
     return edits
 
 
