@@ -239,6 +239,29 @@ def test_faces_of_surfaces_and_loads_follow_where_elements_come_and_go(
                for word, face in told)
 
 
+def test_new_nodes_join_the_sets_of_the_sections_they_belong_to(tmp_path):
+    points, cells = box(3, 4, plane=0.5)
+    near, far = points[:, 0] <= 0.5, points[:, 0] > 0.5
+    ids = np.arange(len(points)) + 1
+    text = "".join(f"*NODE, NSET={name}\n" + rows(
+        [[i, *x] for i, x in zip(ids[own].tolist(), points[own].tolist(), strict=True)], "\n")
+        for name, own in (("NEAR", near), ("FAR", far)))
+    text += "*ELEMENT, TYPE=C3D4, ELSET=E\n" + rows(
+        [[i + 1, *row] for i, row in enumerate((cells + 1).tolist())], "\n")
+    source, target = tmp_path / "a.inp", tmp_path / "b.inp"
+    source.write_text(text)
+    with pytest.warns(DataNotKeptWarning, match="last digits"):
+        write_file(target, remesh(read_file(source), scale=0.6, free=("periodic",)))
+    told = Told(target)
+    assert len(told.nodes) > 1.5 * len(points)
+    new = {i: place[0] for i, place in told.nodes.items() if i > len(points)}
+    inside = {name: new.keys() & {*told.sets["NSET"][name]} for name in ("NEAR", "FAR")}
+    assert all(new[i] < 0.5 + 1e-9 for i in inside["NEAR"])
+    assert all(new[i] > 0.75 - 1e-9 for i in inside["FAR"])
+    assert len(inside["NEAR"]) > 10 < len(inside["FAR"])
+    assert min(new[i] for i in new.keys() - inside["NEAR"] - inside["FAR"]) > 0.5 - 1e-9
+
+
 def test_loads_of_several_values_meet_where_they_met(tmp_path):
     points, cells = box(3, 4, plane=0.5)
     low = boundary(cells, lambda face: (points[face][:, 2] == 0).all())

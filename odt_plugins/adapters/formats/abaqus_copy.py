@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from odt_plugins.adapters.formats.abaqus import cell_sets, faces_only
+from odt_plugins.adapters.formats.abaqus import cell_sets, faces_only, titles
 from odt_plugins.adapters.formats.abaqus_deck import (
     Deck,
     Section,
@@ -124,14 +124,41 @@ def _nodes(deck: Deck, names: Names, change: Change) -> list[Edit]:
     for v in np.flatnonzero(change.moved & (change.points >= 0)).tolist():
         i = deck.lines[change.points[v]]
         lines[i] = _moved(deck.texts[i], spots[v])
-    for v in np.flatnonzero(change.points < 0).tolist():
-        i = last[names.parts[v]]
-        text = deck.texts[i]
-        text = _exchanged(text, [b"%d" % names.nodes[v]])
-        own = lines.get(i, deck.texts[i])
-        gap = b"" if not own or _end(own) else b"\n"
-        lines[i] = own + gap + _moved(text, spots[v])
+    for part, i in last.items():
+        fresh = [v for v in np.flatnonzero(change.points < 0).tolist() if names.parts[v] == part]
+        rows = {int(names.nodes[v]): _moved(_exchanged(deck.texts[i], [b"%d" % names.nodes[v]]),
+                                            spots[v]) for v in fresh}
+        if rows:
+            own = lines.get(i, deck.texts[i])
+            lines[i] = b"".join([own, b"" if not own or _end(own) else b"\n",
+                                 *_sorted_nodes(deck, names, part, i, rows)])
     return [_line_edit(deck, i, text) for i, text in lines.items()]
+
+
+def _sorted_nodes(
+    deck: Deck, names: Names, part: str, last: int, rows: dict[int, bytes]
+) -> list[bytes]:
+    """Lines of new nodes behind the last one, so that they are in the sets of nodes they join."""
+    own = [s for s in deck.sections if s.name == "NODE" and s.part == part]
+    sets = dict.fromkeys(s.params["NSET"] for s in own if "NSET" in s.params)
+    behind = next(s.params.get("NSET", "") for s in own if last in s.lines)
+    known = {key: title for title, key in titles(deck, "NSET").items()}
+    joined = {name: names.of_set(known[part, name.upper()], part) & {*rows} for name in sets}
+    inside = joined.pop(behind, set()) if behind else {*rows}
+    out = [text for number, text in rows.items() if number in inside]
+    others = [text for number, text in rows.items() if number not in inside]
+    end = _end(deck.texts[last]) or b"\n"
+    out += [b"*NODE" + end, *others] if others else []
+    for name, numbers in joined.items():
+        if numbers:
+            out += [b"*NSET, NSET=" + name.encode("latin-1") + end, *_listed(sorted(numbers), end)]
+    return out
+
+
+def _listed(numbers: list[int], end: bytes) -> list[bytes]:
+    """Lines of the numbers of a set."""
+    return [", ".join(map(str, numbers[k: k + A_LINE])).encode() + end
+            for k in range(0, len(numbers), A_LINE)]
 
 
 def _moved(text: bytes, place: list[float]) -> bytes:
@@ -340,7 +367,10 @@ def _set(
     key = (section.part, section.params.get("ELSET", "").upper())
     if section.name == "NSET":
         drop = {number for number in own if (home, number) in names.lost}
-        add = names.joined(home, own)
+        title = next(t for t, k in titles(deck, "NSET").items() if k == (
+            section.part, section.params.get("NSET", "").upper()))
+        add = names.of_set(title, home) - {n for part, n in deck.number if part == home} if (
+            own) else set()
     elif key in hidden:
         alias = resolved(deck.sections)
         last = [s for s in deck.sections if s.name == "ELSET" and s.part == section.part
@@ -374,9 +404,7 @@ def _set(
             end = _end(text) or b"\n"
             numbers = sorted(add)
             new += b"" if not new or _end(new) else end
-            new += b"".join(_runs(numbers, end)) if ranges else b"".join(
-                ", ".join(map(str, numbers[k: k + A_LINE])).encode() + end
-                for k in range(0, len(numbers), A_LINE))
+            new += b"".join(_runs(numbers, end) if ranges else _listed(numbers, end))
         if new is not text:
             edits.append(_line_edit(deck, i, new))
     return edits

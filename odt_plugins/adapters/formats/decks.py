@@ -234,7 +234,7 @@ class Names:
         of = {v: name for name, v in number.items()}
         self.lost = {of[v] for v in np.flatnonzero(change.number < 0).tolist()}
         old = [of.get(v, ("", -1)) for v in change.points.tolist()]
-        self._number, self._change = number, change
+        self._after = change.after
         most: dict[str, int] = {}
         for part, n in number:
             most[part] = max(most.get(part, 0), n)
@@ -268,29 +268,10 @@ class Names:
             self.of.append(names)
             self.slots.append([[i for i, _ in slot] for slot in table])
 
-    def joined(self, part: str, own: set[int]) -> set[int]:
-        """Numbers of the new nodes that join a set of nodes of a part.
-
-        They are those of the elements that come from elements all of whose nodes are in the set: of
-        the dimension whose elements hold most of the set, and of none where that is less than half.
-        """
-        change = self._change
-        inside = np.zeros(len(change.before.points), dtype=np.bool_)
-        inside[[v for (home, n), v in self._number.items() if home == part and n in own]] = True
-        best, found = int(inside.sum()) // 2, np.empty(0, dtype=np.int64)
-        for dim in (3, 2, 1) if inside.any() else ():
-            held, near = np.zeros_like(inside), [found[:0]]
-            for b in range(len(self.of)):
-                rows = np.asarray(change.before.cells[b].data)
-                if change.before.cells[b].dim == dim:
-                    whole = inside[rows].all(axis=1)
-                    held[rows[whole]] = True
-                    near.append(np.asarray(change.after.cells[b].data)[
-                        whole[change.cells[b]]].ravel())
-            if held.sum() > best:
-                best, found = int(held.sum()), np.concatenate(near)
-        return {int(self.nodes[v]) for v in np.unique(found).tolist()
-                if change.points[v] < 0 and self.parts[v] == part}
+    def of_set(self, title: str, part: str) -> set[int]:
+        """Numbers of the nodes of a part that are in a set of the result."""
+        members = self._after.point_sets.get(title, ())
+        return {int(self.nodes[v]) for v in indices(members).tolist() if self.parts[v] == part}
 
 
 def faces_of(change: Change, kinds: Sequence[str], block: int) -> list[tuple[int, int, int]]:

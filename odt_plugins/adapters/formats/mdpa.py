@@ -20,6 +20,7 @@ from odt_plugins.adapters.formats.decks import (
     as_lines,
     edited,
     fits,
+    indices,
     joint_labels,
     numbers,
     order_of,
@@ -168,7 +169,8 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
                 int(row.words[0]) for block in parts.blocks if block.entity == "Elements"
                 for row in block.rows})
         elif entity and section.rows:
-            edits += _members(data, section, entity, names)
+            joined = _nodes_of(change, section.part, names) if entity == "Nodes" else set()
+            edits += _members(data, section, entity, names, joined)
     edits = [edit for edit in edits if data[edit[0]: edit[1]] != edit[2]]
     target.write_bytes(edited(data, edits))
     known = change.before.point_data
@@ -339,12 +341,23 @@ def _carried(
             for old, row in rows.items() if old in known]
 
 
-def _members(data: bytes, section: Section, entity: str, names: Names) -> list[Edit]:
+def _nodes_of(change: Change, part: str, names: Names) -> set[int]:
+    """Numbers of the nodes of a part: of its elements and conditions if it has some."""
+    rows = zip(change.after.cells, change.after.cell_sets.get(part, ()), strict=False)
+    of_cells = [np.asarray(block.data)[indices(own)].ravel() for block, own in rows]
+    if sum(map(len, of_cells)):
+        return set(names.nodes[np.concatenate(of_cells)].tolist())
+    return names.of_set(part, "")
+
+
+def _members(
+    data: bytes, section: Section, entity: str, names: Names, joined: set[int]
+) -> list[Edit]:
     """What replaces the rows of a part: without those that went, and new ones behind the last."""
     own = {int(word) for row in section.rows for word in row.words}
     if entity == "Nodes":
         drop = {number for _, number in names.lost}
-        add = sorted(names.joined("", own))
+        add = sorted(joined - own)
     else:
         drop = {number for kind, number in names.gone if kind == entity}
         add = [new for number in sorted(own) for new in names.fresh.get((entity, number), ())]
