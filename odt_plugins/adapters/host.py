@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.adapters.colours import in_kind, varies
+from odt_plugins.adapters.regions import are_whole
 from odt_plugins.errors import InvalidOptionError, ODTError
 from odt_plugins.mesh.facets import row_keys
 
@@ -62,16 +63,20 @@ def each_once(
 
 
 def classes_of(columns: Sequence[NDArray[Any]], count: int) -> NDArray[np.int64] | None:
-    """Classes (count,) of rows that are alike in all columns of whole numbers.
+    """Classes (count,) of rows that are alike in all columns of whole numbers and texts.
 
-    None where most numbers of a column are there once: they are no labels.
+    None where most values of a column are there once: they are no labels. Floating-point numbers
+    are labels where few whole ones are there.
     """
     out = np.zeros(count, dtype=np.int64)
     for values in columns:
-        if values.dtype.kind not in "biu" or values.shape != (count,):
+        if values.shape not in ((count,), (count, 1)) or not are_whole(values):
             continue
-        distinct, label = np.unique(values, return_inverse=True)
+        texts = values.astype(str) if values.dtype.kind == "O" else values
+        distinct, label = np.unique(texts, return_inverse=True)
         if 2 * len(distinct) > max(count, 2):
+            if values.dtype.kind == "f":
+                continue
             return None
         out = np.unique(out * len(distinct) + label.ravel(), return_inverse=True)[1].ravel()
     return out
