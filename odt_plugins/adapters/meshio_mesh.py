@@ -43,7 +43,7 @@ from odt_plugins.adapters.host import (
     is_instance,
 )
 from odt_plugins.adapters.normals import renewed
-from odt_plugins.adapters.point_sets import with_added
+from odt_plugins.adapters.point_sets import walls_of, whole_cells, with_added
 from odt_plugins.adapters.regions import AUTO, Labels, region_labels
 from odt_plugins.adapters.wedges import carried
 from odt_plugins.errors import InvalidMeshError, UnsupportedMeshError, counted
@@ -149,7 +149,7 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
         regions=labels.values,
         regions_from=labels.names,
         blocks=np.repeat(np.arange(len(chosen)), size) if len(chosen) > 1 else None,
-        kept=(*kept, *_held_sets(mesh, nodes)),
+        kept=(*kept, *_held_sets(mesh, nodes, labels.values)),
         source=mesh,
         layout=dict(zip(chosen, np.cumsum([0, *size[:-1]]).tolist(), strict=True)),
         anchors=_anchors(mesh),
@@ -250,15 +250,17 @@ def _texture(arrays: dict[str, NDArray[Any]], kind: str) -> NDArray[Any] | None:
     return None if uv is None or uv.shape[1:] != (6,) else uv.reshape(-1, 3, 2).astype(np.float64)
 
 
-def _held_sets(mesh: Any, cells: NDArray[Any]) -> tuple[KeptCells, ...]:
+def _held_sets(
+    mesh: Any, cells: NDArray[Any], labels: NDArray[Any] | None
+) -> tuple[KeptCells, ...]:
     """Vertices of point sets that are no volumes: of which most are in no cell all of the set."""
     out = []
+    walls = walls_of(cells, labels, len(mesh.points)) if mesh.point_sets else cells
     for name, members in mesh.point_sets.items():
         given = indices(members)
         given = given[(given >= 0) & (given < len(mesh.points))]
-        whole = cells[_inside(given, len(mesh.points))[cells].all(axis=1)]
-        filled = _inside(np.unique(whole), len(mesh.points))[given]
-        if len(given) and name != REQUIRED and 2 * filled.sum() <= len(given):
+        if len(given) and name != REQUIRED and not len(
+                whole_cells(given, cells, walls, len(mesh.points))):
             out.append(KeptCells(f"{SET_VERTEX} {name!r}", given.reshape(-1, 1)))
     return tuple(out)
 
@@ -332,7 +334,7 @@ def _renumber(
         old = np.asarray(members)
         kind = np.int64 if old.dtype == np.bool_ else old.dtype
         there = vertices.number[indices(members)] if result.split is not None else with_added(
-            indices(members), host.cells, result, vertices, host.regions)
+            indices(members), host, result, vertices)
         out.point_sets[name] = there.astype(kind)
 
 
