@@ -18,6 +18,7 @@ from odt_plugins.adapters.host import (
     Adapter,
     HostMesh,
     Result,
+    as_indices,
     expect_linear_tetrahedra,
     words_of,
 )
@@ -188,11 +189,8 @@ def run_engine(
             "refused": wanted.refused + ("insert",) * given.higher_order,
             "tangle": work.tangle, "curved": curved.facts, "layers": layers,
             "integrals": data.cell_integrals, "point_integrals": data.point_integrals}
-    kind = work.host.cells.dtype
-    if outcome.origin is not None and kind.kind != "f":
-        kind = np.promote_types(kind, np.min_scalar_type(len(outcome.points) - 1))
     result = Result(
-        points, cells.astype(kind), source, work.mesh.is_surface,
+        points, as_indices(cells, work.host.cells), source, work.mesh.is_surface,
         feet_of(work.host, work.mesh, places, cells, outcome.origin),
         data.vertices if not work.host.higher_order else None,
         locate=locating(work, near) if fields else None, same=same, of_cells=data.of_cells,

@@ -82,6 +82,15 @@ def classes_of(columns: Sequence[NDArray[Any]], count: int) -> NDArray[np.int64]
     return out
 
 
+def as_indices(values: NDArray[np.integer], like: NDArray[Any]) -> NDArray[Any]:
+    """Indices in the type of others, or in a wider one that holds all of them."""
+    kind = like.dtype if like.dtype.kind in "iuf" else np.dtype(np.int64)
+    most = int(values.max(initial=0))
+    if kind.kind != "f" and most > np.iinfo(kind).max:
+        kind = np.promote_types(kind, np.min_scalar_type(most))
+    return values.astype(kind)
+
+
 class Geometry(NamedTuple):
     """The geometry that a mesh was made of, on which the vertices of its surface slide.
 

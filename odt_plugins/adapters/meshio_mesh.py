@@ -39,6 +39,7 @@ from odt_plugins.adapters.host import (
     KeptCells,
     NewVertices,
     Result,
+    as_indices,
     classes_of,
     is_instance,
 )
@@ -206,7 +207,7 @@ def write(result: Result, host: HostMesh) -> Any:
         end = start + len(block.data)
         here = np.flatnonzero((result.source >= start) & (result.source < end))
         local = result.source[here] - start
-        block.data = result.cells[here].astype(block.data.dtype)
+        block.data = as_indices(result.cells[here], block.data)
         _take(out, i, local, end - start)
         if origin is not None:
             origin.cells[i] = origin.cells[i][local]
@@ -281,16 +282,16 @@ def _refine_others(out: Any, result: Result, host: HostMesh) -> None:
         if i in host.layout or result.split is None or not len(block.data):
             continue
         size = len(block.data)
-        block.data = result.split(np.asarray(block.data)).astype(block.data.dtype)
+        block.data = as_indices(result.split(np.asarray(block.data)), block.data)
         local = np.repeat(np.arange(size), len(block.data) // size)
         _take(out, i, local, size)
     if result.vertices is None:
         return
     for name, members in out.point_sets.items():
-        old = np.asarray(members)
+        old = indices(members)
         inside = _inside(old, len(host.points))
         added = len(host.points) + np.flatnonzero(inside[result.vertices.corners].all(axis=1))
-        out.point_sets[name] = np.concatenate([old, added.astype(old.dtype)])
+        out.point_sets[name] = as_indices(np.concatenate([old, added]), np.asarray(members))
 
 
 def _take(out: Any, i: int, local: NDArray[Any], size: int) -> None:
@@ -311,13 +312,13 @@ def _renumber(
         if i in others:
             size = len(block.data)
             now = result.faces_of(others.index(i), np.asarray(block.data))
-            block.data = now.rows.astype(block.data.dtype)
+            block.data = as_indices(now.rows, block.data)
             if not np.array_equal(now.source, np.arange(size)):
                 _take(out, i, now.source, size)
                 if origin is not None:
                     origin.cells[i] = origin.cells[i][now.source]
         elif i not in host.layout:
-            block.data = vertices.number[block.data].astype(block.data.dtype)
+            block.data = as_indices(vertices.number[block.data], block.data)
     entities = out.cell_data.get(CELL_ENTITIES)
     for name, values in out.point_data.items():
         out.point_data[name] = vertices.carried(
@@ -331,11 +332,9 @@ def _renumber(
                 _set_entities(out.point_data[name], out.cells[i].data.shape[1] - 1,
                               out.cells[i].data, fresh, np.asarray(entities[i]))
     for name, members in out.point_sets.items():
-        old = np.asarray(members)
-        kind = np.int64 if old.dtype == np.bool_ else old.dtype
         there = vertices.number[indices(members)] if result.split is not None else with_added(
             indices(members), host, result, vertices)
-        out.point_sets[name] = there.astype(kind)
+        out.point_sets[name] = as_indices(there, np.asarray(members))
 
 
 def _with_mid_nodes(
@@ -352,7 +351,7 @@ def _with_mid_nodes(
                        np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *kept])), shape)
     for i in others:
         old = np.asarray(out.cells[i].data)
-        out.cells[i].data = q.number[old].astype(old.dtype)
+        out.cells[i].data = as_indices(q.number[old], old)
     placed = placed_nodes(q, result, host.points, nodes)
     entities = out.cell_data.get(CELL_ENTITIES)
     for name, values in out.point_data.items():
@@ -439,7 +438,7 @@ def _kept(mesh: Any, i: int) -> KeptCells:
 def _members(members: NDArray[Any], local: NDArray[np.int32], size: int) -> NDArray[Any]:
     """Cells of a block that come from members of a cell set: a mask, or indices that increase."""
     inside = _inside(members, size)[local]
-    return inside if members.dtype == np.bool_ else np.flatnonzero(inside).astype(members.dtype)
+    return inside if members.dtype == np.bool_ else as_indices(np.flatnonzero(inside), members)
 
 
 def _inside(members: NDArray[Any], size: int) -> NDArray[np.bool_]:

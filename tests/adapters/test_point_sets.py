@@ -1,4 +1,6 @@
-"""Sets of points where vertices come: those of curved surfaces and of volumes have no holes."""
+"""Sets of points where vertices come: those of curved surfaces and of volumes have no holes, and
+indices have a type that holds them.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +9,8 @@ import meshio
 import numpy as np
 import pytest
 
-from odt_plugins import remesh, untangle
+from odt_plugins import optimize, remesh, untangle
+from odt_plugins.generate import uniform_refine
 
 
 def walls(cells):
@@ -60,3 +63,50 @@ def test_the_skin_of_a_coarse_box_is_no_volume_and_stays():
     assert not len(np.setdiff1d(now, after.point_sets["skin"]))
     there = {tuple(row) for row in after.points.tolist()}
     assert all(tuple(row) in there for row in points[skin].tolist())
+
+
+@pytest.mark.parametrize("kind", ["i1", "u1"])
+def test_blocks_and_sets_of_narrow_indices_hold_more_vertices(kind):
+    points, cells = boxes.box(3, 3)
+    floor = walls(cells)
+    floor = floor[(points[floor][:, :, 2] == 0).all(axis=1)]
+    mesh = meshio.Mesh(
+        points, [("tetra", cells.astype(kind)), ("triangle", floor.astype(kind))],
+        point_sets={"all": np.arange(len(points)).astype(kind)},
+        cell_sets={"every": [np.arange(len(cells)).astype("u1"), None]})
+    out = remesh(mesh, scale=0.5, free="periodic")
+    n, rows = len(out.points), out.cells[0].data
+    assert n > 256
+    np.testing.assert_array_equal(np.unique(rows), np.arange(n))
+    x = out.points[rows]
+    assert np.abs(np.linalg.det(x[:, 1:] - x[:, :1])).sum() == pytest.approx(6)
+    assert (out.points[out.cells[1].data][:, :, 2] < 1e-6).all()
+    np.testing.assert_array_equal(np.sort(out.point_sets["all"]), np.arange(n))
+    np.testing.assert_array_equal(out.cell_sets["every"][0], np.arange(len(rows)))
+
+
+@pytest.mark.parametrize("kind", ["i2", ">i2", "u2", "i4", "u8"])
+def test_a_type_that_holds_all_indices_stays(kind):
+    points, cells = boxes.box(3, 3)
+    points, rows = remesh((points, cells.astype(kind)), scale=0.5, free="periodic")
+    assert 256 < len(points) < 400
+    assert rows.max() == len(points) - 1
+    assert np.dtype(rows.dtype).itemsize == np.dtype(kind).itemsize
+    assert rows.dtype.kind == np.dtype(kind).kind
+
+
+def test_masks_of_points_are_sets_of_quadratic_and_of_refined_meshes():
+    points, cells = boxes.box(3, 2)
+    corner = points[:, 0] < 0.6
+    mesh = meshio.Mesh(points, [("tetra", cells)], point_sets={"left": corner})
+    fine = uniform_refine(mesh)
+    np.testing.assert_array_equal(np.sort(fine.point_sets["left"]), np.sort(uniform_refine(
+        meshio.Mesh(points, [("tetra", cells)], point_sets={"left": np.flatnonzero(corner)})
+    ).point_sets["left"]))
+
+    nodes, rows = boxes.quadratic(*boxes.box(3, 3))
+    skin = ((nodes == 0) | (nodes == 1)).any(axis=1)
+    out = optimize(meshio.Mesh(nodes, [("tetra10", rows)], point_sets={"skin": skin}))
+    here = out.points[out.point_sets["skin"]]
+    assert len(here) == skin.sum()
+    assert ((here == 0) | (here == 1)).any(axis=1).all()
