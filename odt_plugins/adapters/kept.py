@@ -19,7 +19,7 @@ from odt_plugins.adapters.host import (
 from odt_plugins.errors import InvalidMeshError, counted
 from odt_plugins.mesh.arrays import BoolArray, IntArray
 from odt_plugins.mesh.components import components
-from odt_plugins.mesh.faces import Faces, ends_of, no_faces
+from odt_plugins.mesh.faces import Faces, borders_of, ends_of, no_faces
 from odt_plugins.mesh.facets import directed_facets, row_keys
 from odt_plugins.mesh.periodic import periodic_triangles
 from odt_plugins.mesh.simplex import SimplexMesh, freeze, with_same_cells
@@ -86,9 +86,9 @@ def protect(
         if rows.shape[1] > 1:
             held, exposed, _ = _hold(mesh, rows)
             inner += [rows[exposed]] if exposed.any() else []
-            if resized and classes is not None and _once(rows):
+            if classes is not None and _once(rows):
                 named.append((rows[held & ~exposed], classes[held & ~exposed]))
-            else:
+            if not resized or classes is None or not _once(rows):
                 stays.append(_edges(rows[held]))
             if rows.shape[1] == 2:
                 lines.append(_edges(rows[held]))
@@ -100,6 +100,9 @@ def protect(
     faces = _named(named, 2), _named(named, 3)
     fixed = mesh.fixed | ends_of(faces[0], n)
     fixed[np.concatenate(loose)] = True
+    if not resized:
+        lines.append(borders_of(faces[1]))
+        faces = no_faces()
     safe = with_same_cells(mesh, fixed=fixed, stays=np.concatenate(stays), faces=faces,
                            lines=np.concatenate(lines), anchored=anchored)
     return _parted(safe, inner) if inner else safe
@@ -209,15 +212,17 @@ def protect_surface(
             keys = row_keys(np.concatenate([np.sort(rows, axis=1), pairs]), n)
             held = np.isin(keys[: len(rows)], keys[len(rows) :])
             lines.append(rows[held].astype(np.int32))
-            if resized and classes is not None and _once(rows):
+            if classes is not None and _once(rows):
                 named.append((rows[held], classes[held]))
-            elif others:
+            if others and (not resized or classes is None or not _once(rows)):
                 stays.append(lines[-1])
             rows = rows[~held]
         loose.append(rows.ravel())
     faces = _named(named, 2), no_faces()[1]
     fixed = mesh.fixed | ends_of(faces[0], n)
     fixed[np.concatenate(loose)] = True
+    if not resized:
+        faces = no_faces()
     return replace(mesh, fixed=fixed, lines=np.concatenate(lines), stays=np.concatenate(stays),
                    faces=faces, anchored=_anchored(anchors, n))
 

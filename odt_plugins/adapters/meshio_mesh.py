@@ -420,19 +420,16 @@ def _others(mesh: Any, chosen: Container[int]) -> list[int]:
 
 
 def _kept(mesh: Any, i: int) -> KeptCells:
-    """A block that is not optimised; linear faces may become others of the same data and sets."""
+    """A block that is not optimised; faces may become others of the same data and sets."""
     kind, data = mesh.cells[i].type, np.asarray(mesh.cells[i].data)
     if kind not in FACES:
         return KeptCells(kind, data.reshape(-1, 1))
-    classes = None
-    if kind in LINEAR:
-        columns = [np.asarray(values[i]) for values in mesh.cell_data.values()]
-        for name, members in mesh.cell_sets.items():
-            if name not in NOT_CELL_INDICES and members[i] is not None:
-                _check_members(name, np.asarray(members[i]), i, len(data))
-                columns.append(_inside(np.asarray(members[i]), len(data)))
-        classes = classes_of(columns, len(data))
-    return KeptCells(kind, data[:, : FACES[kind]], classes)
+    columns = [np.asarray(values[i]) for values in mesh.cell_data.values()]
+    for name, members in mesh.cell_sets.items():
+        if name not in NOT_CELL_INDICES and members[i] is not None:
+            _check_members(name, np.asarray(members[i]), i, len(data))
+            columns.append(_inside(np.asarray(members[i]), len(data)))
+    return KeptCells(kind, data[:, : FACES[kind]], classes_of(columns, len(data)))
 
 
 def _members(members: NDArray[Any], local: NDArray[np.int32], size: int) -> NDArray[Any]:

@@ -232,7 +232,7 @@ def _read_grid(mesh: Any) -> tuple[IndexArray, IndexArray, tuple[KeptCells, ...]
             rows = flat[start[:, None] + np.arange(FACES[other])]
         else:
             rows = flat[_positions(start, size)][:, None]
-        classes = _classes(mesh, which) if other in (LINE, TRIANGLE) else None
+        classes = _classes(mesh, which) if other in (LINE, *FACES) else None
         kept.append(KeptCells(names[other], rows, classes))
     return cells, ids, tuple(kept)
 
