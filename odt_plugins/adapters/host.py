@@ -34,11 +34,14 @@ class KeptCells(NamedTuple):
                            that must stay faces of the mesh
     classes : (q,) int or None    class of each row where the adapter writes ``NewFaces``: rows of
                                   one class may become each other
+    labels : (q,) int or None     rows of different ones keep the border between them, where each
+                                  row stays itself; None where the classes tell that
     """
 
     kind: str
     rows: NDArray[Any]
     classes: NDArray[Any] | None = None
+    labels: NDArray[Any] | None = None
 
 
 def middles(corners: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -62,12 +65,15 @@ def each_once(
     return [(KeptCells(kind, rows[chosen], classes[chosen]), chosen) for chosen in own]
 
 
-def classes_of(columns: Sequence[NDArray[Any]], count: int) -> NDArray[np.int64] | None:
-    """Classes (count,) of rows that are alike in all columns of whole numbers and texts.
+def classes_of(
+    columns: Sequence[NDArray[Any]], count: int
+) -> tuple[NDArray[np.int64] | None, NDArray[np.int64]]:
+    """Classes and labels (count,) of rows that are alike in all columns of whole numbers and texts.
 
-    None where most values of a column are there once: they are no labels. Floating-point numbers
-    are labels where few whole ones are there.
+    Most values of a column may be there once: they are no labels, and there are no classes.
+    Floating-point numbers are labels where few whole ones are there.
     """
+    own = False
     out = np.zeros(count, dtype=np.int64)
     for values in columns:
         if values.shape not in ((count,), (count, 1)) or not are_whole(values):
@@ -75,11 +81,10 @@ def classes_of(columns: Sequence[NDArray[Any]], count: int) -> NDArray[np.int64]
         texts = values.astype(str) if values.dtype.kind == "O" else values
         distinct, label = np.unique(texts, return_inverse=True)
         if 2 * len(distinct) > max(count, 2):
-            if values.dtype.kind == "f":
-                continue
-            return None
+            own |= values.dtype.kind != "f"
+            continue
         out = np.unique(out * len(distinct) + label.ravel(), return_inverse=True)[1].ravel()
-    return out
+    return None if own else out, out
 
 
 def as_indices(values: NDArray[np.integer], like: NDArray[Any]) -> NDArray[Any]:

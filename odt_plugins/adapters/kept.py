@@ -80,15 +80,17 @@ def protect(
     stays = [mesh.stays]
     lines = [mesh.lines]
     named: list[tuple[NDArray[np.int64], NDArray[Any]]] = []
-    for kind, raw, classes in kept:
+    for kind, raw, classes, labels in kept:
         _check_range(kind, raw, n)
         rows = np.asarray(raw, dtype=np.int64)
         if rows.shape[1] > 1:
             held, exposed, _ = _hold(mesh, rows)
             inner += [rows[exposed]] if exposed.any() else []
-            if classes is not None and _once(rows):
-                named.append((rows[held & ~exposed], classes[held & ~exposed]))
-            if not resized or classes is None or not _once(rows):
+            own = labels if classes is None and not resized else classes
+            known = own is not None and _once(rows)
+            if own is not None and known:
+                named.append((rows[held & ~exposed], own[held & ~exposed]))
+            if not (known and resized):
                 stays.append(_edges(rows[held]))
             if rows.shape[1] == 2:
                 lines.append(_edges(rows[held]))
@@ -205,16 +207,18 @@ def protect_surface(
     pairs = np.sort(mesh.cells[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     lines, loose, stays = [mesh.lines], [np.zeros(0, dtype=np.int64)], [mesh.stays]
     named: list[tuple[NDArray[np.int64], NDArray[Any]]] = []
-    for kind, raw, classes in kept:
+    for kind, raw, classes, labels in kept:
         _check_range(kind, raw, n)
         rows = np.asarray(raw, dtype=np.int64)
         if rows.shape[1] == 2 and len(rows):
             keys = row_keys(np.concatenate([np.sort(rows, axis=1), pairs]), n)
             held = np.isin(keys[: len(rows)], keys[len(rows) :])
             lines.append(rows[held].astype(np.int32))
-            if classes is not None and _once(rows):
-                named.append((rows[held], classes[held]))
-            if others and (not resized or classes is None or not _once(rows)):
+            own = labels if classes is None and not resized else classes
+            known = own is not None and _once(rows)
+            if own is not None and known:
+                named.append((rows[held], own[held]))
+            if others and not (known and resized):
                 stays.append(lines[-1])
             rows = rows[~held]
         loose.append(rows.ravel())
@@ -325,7 +329,7 @@ def _note_inside(
         return ()
     k = before.cells.shape[1]
     count = 0
-    for _, raw, _ in host.kept:
+    for _, raw, *_ in host.kept:
         if raw.shape[1] == k - 1:
             rows = np.unique(np.sort(np.asarray(raw, dtype=np.int64), axis=1), axis=0)
             count += int(_hold(before, rows)[1].sum())
@@ -348,7 +352,7 @@ def _note_inside(
 def notes_on_sets(kept: tuple[KeptCells, ...]) -> tuple[str, ...]:
     """Say which vertices stay that a point set or something else of the file names."""
     return tuple(f"{counted(len(rows), kind, kind.replace('vertex', 'vertices'))} stay where they "
-                 f"are" for kind, rows, _ in kept if kind.startswith((SET_VERTEX, NAMED_VERTEX)))
+                 f"are" for kind, rows, *_ in kept if kind.startswith((SET_VERTEX, NAMED_VERTEX)))
 
 
 def hold_places(
@@ -374,7 +378,7 @@ def hold_places(
         notes.append(f"{counted(len(same), 'vertex', 'vertices')} (first: {same[0]}) at the place "
                      f"of another one stay, so that patches do not come apart there; try merging "
                      f"vertices at the same place")
-    splines = sum(len(rows) for kind, rows, _ in host.kept if kind == SPLINE_VERTEX)
+    splines = sum(len(rows) for kind, rows, *_ in host.kept if kind == SPLINE_VERTEX)
     if splines:
         notes.append(f"{counted(splines, 'vertex', 'vertices')} on splines stay, since Netgen "
                      f"takes no parameters of points there")

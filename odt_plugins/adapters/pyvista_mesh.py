@@ -232,8 +232,8 @@ def _read_grid(mesh: Any) -> tuple[IndexArray, IndexArray, tuple[KeptCells, ...]
             rows = flat[start[:, None] + np.arange(FACES[other])]
         else:
             rows = flat[_positions(start, size)][:, None]
-        classes = _classes(mesh, which) if other in (LINE, *FACES) else None
-        kept.append(KeptCells(names[other], rows, classes))
+        known = _classes(mesh, which) if other in (LINE, *FACES) else ()
+        kept.append(KeptCells(names[other], rows, *known))
     return cells, ids, tuple(kept)
 
 
@@ -243,8 +243,8 @@ def _beside(types: NDArray[Any], kind: int) -> list[tuple[int, IndexArray]]:
             if other not in (kind, VERTEX, POLY_VERTEX)]
 
 
-def _classes(mesh: Any, which: IndexArray) -> NDArray[np.int64] | None:
-    """Classes of cells that have the same numbers in all arrays."""
+def _classes(mesh: Any, which: IndexArray) -> tuple[NDArray[np.int64] | None, IndexArray]:
+    """Classes and labels of cells that have the same numbers in all arrays."""
     arrays = [np.atleast_1d(mesh.cell_data[name])[which] for name in mesh.cell_data.keys()]
     return classes_of(arrays, len(which))
 
@@ -410,8 +410,8 @@ def _read_polydata(mesh: Any) -> tuple[IndexArray, IndexArray, tuple[KeptCells, 
     if mesh.n_lines:
         rows = _segments(np.asarray(mesh.lines))
         which = mesh.n_verts + np.arange(mesh.n_lines)
-        classes = _classes(mesh, which) if len(rows) == len(which) else None
-        kept = (KeptCells("line", rows, classes),)
+        known = _classes(mesh, which) if len(rows) == len(which) else ()
+        kept = (KeptCells("line", rows, *known),)
     return faces.reshape(-1, 4)[:, 1:].copy(), ids, kept
 
 

@@ -54,9 +54,13 @@ def sizes(mesh, dim):
 
 @pytest.mark.parametrize("curved", [False, True], ids=["linear", "quadratic"])
 @pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("numbered", [False, True])
 @pytest.mark.parametrize("host", ["meshio", "pyvista"])
-def test_an_inlet_in_a_flat_side_has_its_size(host, dim, curved):
+def test_an_inlet_in_a_flat_side_has_its_size(host, numbered, dim, curved):
     mesh = labelled(dim, curved=curved)
+    if numbered:
+        count = [len(block.data) for block in mesh.cells]
+        mesh.cell_data["CellIds"] = np.split(np.arange(sum(count)), [count[0]])
     before = sizes(mesh, dim)
     if host == "meshio":
         out = optimize(mesh, boundary="slide", free="periodic")
