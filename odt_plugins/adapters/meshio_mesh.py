@@ -44,7 +44,7 @@ from odt_plugins.adapters.host import (
     is_instance,
 )
 from odt_plugins.adapters.normals import renewed
-from odt_plugins.adapters.point_sets import walls_of, whole_cells, with_added
+from odt_plugins.adapters.point_sets import walls_of, whole_cells, with_added, with_links
 from odt_plugins.adapters.regions import AUTO, Labels, region_labels
 from odt_plugins.adapters.wedges import carried
 from odt_plugins.errors import InvalidMeshError, UnsupportedMeshError, counted
@@ -135,7 +135,7 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
     if len(getattr(mesh, HELD, ())):
         kept = (*kept, KeptCells(NAMED_VERTEX,
                                  np.asarray(getattr(mesh, HELD)).reshape(-1, 1)))
-    rows = nodes = np.concatenate([mesh.cells[i].data for i in chosen])
+    rows = nodes = _rows([np.asarray(mesh.cells[i].data) for i in chosen])
     if shape is not None:
         check_mid_nodes(nodes, len(mesh.points), shape)
         nodes = nodes[:, : shape.shape[1]]
@@ -164,6 +164,13 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
         fields=sampled({name: np.asarray(v) for name, v in mesh.point_data.items()}),
         densities=dense(arrays, (TEXTURE,)),
     )
+
+
+def _rows(blocks: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    """Cells of several blocks, as whole numbers where each has a type of these."""
+    rows = np.concatenate(blocks)
+    whole = rows.dtype.kind == "f" and all(block.dtype.kind in "iu" for block in blocks)
+    return rows.astype(np.int64) if whole else rows
 
 
 def _shape(kind: str, width: int) -> Lattice | None:
@@ -200,6 +207,7 @@ def write(result: Result, host: HostMesh) -> Any:
         for name in host.fields:
             out.point_data[name] = result.vertices.carried(np.asarray(out.point_data[name]), name)
     out.points = result.points
+    _follow_links(out, host, nodes)
     if result.split is not None:
         _refine_others(out, result, host)
     for i, start in host.layout.items():
@@ -237,6 +245,20 @@ def _renew_normals(out: Any, result: Result, host: HostMesh) -> None:
             of_vertices=False)
 
 
+def _follow_links(out: Any, host: HostMesh, nodes: NDArray[np.integer] | None) -> None:
+    """Let what is said of points that correspond follow, where they come from these `nodes`."""
+    number = np.arange(len(host.points))
+    if nodes is not None:
+        number[:] = -1
+        number[nodes[nodes >= 0]] = np.flatnonzero(nodes >= 0)
+    if out.gmsh_periodic:
+        out.gmsh_periodic = with_links(
+            out.gmsh_periodic, number, host.points, out.points) or None
+    if getattr(out, "identified", None) is not None:
+        out.identified = np.unique(number[out.identified])
+        out.identified = out.identified[out.identified >= 0]
+
+
 def _coupled(mesh: Any) -> NDArray[np.int64] | None:
     """Vertices of the faces that a file of Gmsh or Netgen says to be periodic, if there are any."""
     known = getattr(mesh, "identified", None)
@@ -256,7 +278,10 @@ def _held_sets(
 ) -> tuple[KeptCells, ...]:
     """Vertices of point sets that are no volumes: of which most are in no cell all of the set."""
     out = []
-    walls = walls_of(cells, labels, len(mesh.points)) if mesh.point_sets else cells
+    if mesh.point_sets:
+        known = ((cells >= 0) & (cells < len(mesh.points))).all(axis=1)
+        cells = cells[known].astype(np.int64)
+        walls = walls_of(cells, None if labels is None else labels[known], len(mesh.points))
     for name, members in mesh.point_sets.items():
         given = indices(members)
         given = given[(given >= 0) & (given < len(mesh.points))]
@@ -268,9 +293,10 @@ def _held_sets(
 
 def _anchors(mesh: Any) -> NDArray[Any]:
     """Vertices of vertex cells and of point sets."""
-    named = [np.asarray(members) for members in mesh.point_sets.values()]
+    named = [indices(members) for members in mesh.point_sets.values()]
     named += [np.asarray(block.data) for block in mesh.cells if block.type == "vertex"]
-    return np.concatenate([np.zeros(0, dtype=np.int64), *(v.ravel() for v in named)])
+    return np.concatenate([np.zeros(0, dtype=np.int64),
+                           *(v.ravel().astype(np.int64) for v in named)])
 
 
 def _refine_others(out: Any, result: Result, host: HostMesh) -> None:
@@ -341,9 +367,9 @@ def _with_mid_nodes(
     out: Any, result: Result, host: HostMesh
 ) -> tuple[Result, NDArray[np.int64] | None]:
     """Give every edge its mid-node; point data, sets and other blocks follow their nodes."""
-    nodes = np.concatenate([out.cells[i].data for i in host.layout])
+    nodes = _rows([np.asarray(out.cells[i].data) for i in host.layout])
     others = [i for i in range(len(out.cells)) if i not in host.layout]
-    kept = [np.asarray(out.cells[i].data).ravel() for i in others]
+    kept = [np.asarray(out.cells[i].data).ravel().astype(np.int64) for i in others]
     shape = _shape(out.cells[next(iter(host.layout))].type, nodes.shape[1])
     if shape is None:
         return result, None

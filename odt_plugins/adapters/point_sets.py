@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters.host import HostMesh, NewVertices, Result
+from odt_plugins.adapters.host import HostMesh, NewVertices, Result, as_indices
+from odt_plugins.errors import DataNotKeptWarning, counted, warn
 from odt_plugins.mesh.facets import row_keys
 
 ZERO = 1e-9
@@ -64,6 +67,40 @@ def with_added(
                  for facets in (walls, sheet)]
     joins[own] |= away_from[1] < away_from[0] + slack
     return np.concatenate([number, placed[joins]])
+
+
+def with_links(
+    links: Sequence[Any], number: NDArray[np.integer], before: NDArray[Any], after: NDArray[Any]
+) -> list[Any]:
+    """Periodic links of a mesh of meshio, [.., .., .., pairs (q, 2) of points], in other numbers.
+
+    Parameters
+    ----------
+    links : list              of the input
+    number : (n,) int         point of the result for every one of the input, -1 if it went
+    before, after : (n, D)    points of the input and of the result
+
+    Returns
+    -------
+    list                      those all of whose points are there, and moved alike if at all
+
+    Warns
+    -----
+    DataNotKeptWarning        there are others
+    """
+    out = []
+    for *head, pairs in links:
+        old = np.asarray(pairs)
+        new = np.asarray(number[old.astype(np.int64)])
+        moved = after[new].astype(np.float64) - before[old.astype(np.int64)]
+        near = 1e-9 * np.ptp(before, axis=0).max(initial=0.0)
+        if (new >= 0).all() and (np.abs(moved[:, 0] - moved[:, 1]) <= near).all():
+            out.append([*head, as_indices(new, old)])
+    if len(out) < len(links):
+        msg = (f"{counted(len(links) - len(out), 'periodic link')} whose points went or moved "
+               f"are left out; to keep them leave 'periodic' out of free")
+        warn(msg, DataNotKeptWarning)
+    return out
 
 
 def whole_cells(

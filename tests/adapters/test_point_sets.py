@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from odt_plugins import optimize, remesh, untangle
+from odt_plugins.errors import DataNotKeptWarning, InvalidMeshError
 from odt_plugins.generate import uniform_refine
 
 
@@ -110,3 +111,53 @@ def test_masks_of_points_are_sets_of_quadratic_and_of_refined_meshes():
     here = out.points[out.point_sets["skin"]]
     assert len(here) == skin.sum()
     assert ((here == 0) | (here == 1)).any(axis=1).all()
+
+
+@pytest.mark.parametrize("run", [
+    lambda mesh: remesh(mesh, scale=2), lambda mesh: remesh(mesh, scale=0.6),
+    lambda mesh: optimize(mesh, insert=True), optimize])
+def test_periodic_links_name_the_points_that_correspond(run):
+    points, cells = boxes.box(3, 6)
+    low, high = (np.flatnonzero(points[:, 0] == x) for x in (0, 1))
+    pairs = np.stack([low, high], axis=1).astype(np.int32)
+    mesh = meshio.Mesh(points, [("tetra", cells)],
+                       gmsh_periodic=[[2, (2, 1), None, pairs]])
+    mesh.identified = low
+    out = run(mesh)
+    (dim, tags, affine, now), = out.gmsh_periodic
+    assert (dim, tags, affine) == (2, (2, 1), None)
+    assert now.dtype == np.int32
+    np.testing.assert_array_equal(out.points[now], points[pairs])
+    np.testing.assert_array_equal(out.points[out.identified], points[low])
+    np.testing.assert_array_equal(mesh.gmsh_periodic[0][3], pairs)
+
+
+def test_links_whose_points_went_are_told():
+    points, cells = boxes.box(3, 6)
+    pairs = np.stack([np.flatnonzero(points[:, 0] == x) for x in (0, 1)], axis=1)
+    mesh = meshio.Mesh(points, [("tetra", cells)], gmsh_periodic=[[2, (2, 1), None, pairs]])
+    with pytest.warns(DataNotKeptWarning, match="1 periodic link whose points"):
+        out = remesh(mesh, scale=2, free="periodic")
+    assert out.gmsh_periodic is None
+
+
+def test_blocks_of_several_types_are_of_whole_numbers_beside_sets():
+    points, cells = boxes.box(3, 4)
+    right = points[cells].mean(axis=1)[:, 0] > 0.5
+    top = points[:, 2] == 1
+    mesh = meshio.Mesh(
+        points, [("tetra", cells[right].astype(np.uint64)), ("tetra", cells[~right]),
+                 ("vertex", np.array([[0]], dtype=np.uint64))], point_sets={"top": top})
+    out = remesh(mesh, scale=0.7, free="periodic")
+    assert [block.data.dtype for block in out.cells] == [np.uint64, cells.dtype, np.uint64]
+    np.testing.assert_array_equal(out.points[out.cells[2].data[0]], points[[0]])
+    np.testing.assert_array_equal(np.sort(out.point_sets["top"]),
+                                  np.flatnonzero(np.abs(out.points[:, 2] - 1) < 1e-3))
+
+
+def test_indices_out_of_range_are_named_beside_sets():
+    points, cells = boxes.box(3, 3)
+    cells[5, 2] = len(points)
+    mesh = meshio.Mesh(points, [("tetra", cells)], point_sets={"low": np.arange(5)})
+    with pytest.raises(InvalidMeshError, match="first: cell 5"):
+        optimize(mesh)
