@@ -80,17 +80,18 @@ def protect(
     stays = [mesh.stays]
     lines = [mesh.lines]
     named: list[tuple[NDArray[np.int64], NDArray[Any]]] = []
+    alike: list[tuple[NDArray[np.int64], NDArray[Any]]] = []
     for kind, raw, classes, labels in kept:
         _check_range(kind, raw, n)
         rows = np.asarray(raw, dtype=np.int64)
         if rows.shape[1] > 1:
             held, exposed, _ = _hold(mesh, rows)
             inner += [rows[exposed]] if exposed.any() else []
-            own = labels if classes is None and not resized else classes
-            known = own is not None and _once(rows)
-            if own is not None and known:
-                named.append((rows[held & ~exposed], own[held & ~exposed]))
-            if not (known and resized):
+            own = labels if classes is None else classes
+            become = resized and classes is not None and _once(rows)
+            if own is not None and _once(rows):
+                (named if become else alike).append((rows[held & ~exposed], own[held & ~exposed]))
+            if not become:
                 stays.append(_edges(rows[held]))
             if rows.shape[1] == 2:
                 lines.append(_edges(rows[held]))
@@ -100,11 +101,9 @@ def protect(
     if not free:
         loose += [rows.ravel() for rows in inner]
     faces = _named(named, 2), _named(named, 3)
-    fixed = mesh.fixed | ends_of(faces[0], n)
+    fixed = mesh.fixed | ends_of(faces[0], n) | ends_of(_named(alike, 2), n)
     fixed[np.concatenate(loose)] = True
-    if not resized:
-        lines.append(borders_of(faces[1]))
-        faces = no_faces()
+    lines.append(borders_of(_named(alike, 3)))
     safe = with_same_cells(mesh, fixed=fixed, stays=np.concatenate(stays), faces=faces,
                            lines=np.concatenate(lines), anchored=anchored)
     return _parted(safe, inner) if inner else safe
@@ -207,6 +206,7 @@ def protect_surface(
     pairs = np.sort(mesh.cells[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     lines, loose, stays = [mesh.lines], [np.zeros(0, dtype=np.int64)], [mesh.stays]
     named: list[tuple[NDArray[np.int64], NDArray[Any]]] = []
+    alike: list[tuple[NDArray[np.int64], NDArray[Any]]] = []
     for kind, raw, classes, labels in kept:
         _check_range(kind, raw, n)
         rows = np.asarray(raw, dtype=np.int64)
@@ -214,19 +214,17 @@ def protect_surface(
             keys = row_keys(np.concatenate([np.sort(rows, axis=1), pairs]), n)
             held = np.isin(keys[: len(rows)], keys[len(rows) :])
             lines.append(rows[held].astype(np.int32))
-            own = labels if classes is None and not resized else classes
-            known = own is not None and _once(rows)
-            if own is not None and known:
-                named.append((rows[held], own[held]))
-            if others and not (known and resized):
+            own = labels if classes is None else classes
+            become = resized and classes is not None and _once(rows)
+            if own is not None and _once(rows):
+                (named if become else alike).append((rows[held], own[held]))
+            if others and not become:
                 stays.append(lines[-1])
             rows = rows[~held]
         loose.append(rows.ravel())
     faces = _named(named, 2), no_faces()[1]
-    fixed = mesh.fixed | ends_of(faces[0], n)
+    fixed = mesh.fixed | ends_of(faces[0], n) | ends_of(_named(alike, 2), n)
     fixed[np.concatenate(loose)] = True
-    if not resized:
-        faces = no_faces()
     return replace(mesh, fixed=fixed, lines=np.concatenate(lines), stays=np.concatenate(stays),
                    faces=faces, anchored=_anchored(anchors, n))
 

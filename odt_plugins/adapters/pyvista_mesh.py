@@ -232,7 +232,9 @@ def _read_grid(mesh: Any) -> tuple[IndexArray, IndexArray, tuple[KeptCells, ...]
             rows = flat[start[:, None] + np.arange(FACES[other])]
         else:
             rows = flat[_positions(start, size)][:, None]
-        known = _classes(mesh, which) if other in (LINE, *FACES) else ()
+        known: tuple[Any, ...] = ()
+        if other in (LINE, POLY_LINE, *FACES):
+            known = _classes(mesh, which, size - 1 if other == POLY_LINE else None)
         kept.append(KeptCells(names[other], rows, *known))
     return cells, ids, tuple(kept)
 
@@ -243,10 +245,16 @@ def _beside(types: NDArray[Any], kind: int) -> list[tuple[int, IndexArray]]:
             if other not in (kind, VERTEX, POLY_VERTEX)]
 
 
-def _classes(mesh: Any, which: IndexArray) -> tuple[NDArray[np.int64] | None, IndexArray]:
-    """Classes and labels of cells that have the same numbers in all arrays."""
+def _classes(
+    mesh: Any, which: IndexArray, parts: IndexArray | None = None
+) -> tuple[NDArray[np.int64] | None, IndexArray]:
+    """Classes and labels of cells that have the same numbers in all arrays.
+
+    Cells of so many parts each, poly-lines, become no others: their parts have labels only.
+    """
     arrays = [np.atleast_1d(mesh.cell_data[name])[which] for name in mesh.cell_data.keys()]
-    return classes_of(arrays, len(which))
+    classes, labels = classes_of(arrays, len(which))
+    return (classes, labels) if parts is None else (None, np.repeat(labels, parts))
 
 
 def _expect_one_order(types: NDArray[Any], size: IndexArray, kind: int) -> None:
@@ -408,21 +416,21 @@ def _read_polydata(mesh: Any) -> tuple[IndexArray, IndexArray, tuple[KeptCells, 
     ids = np.arange(mesh.n_cells - n_faces, mesh.n_cells)
     kept: tuple[KeptCells, ...] = ()
     if mesh.n_lines:
-        rows = _segments(np.asarray(mesh.lines))
+        rows, parts = _segments(np.asarray(mesh.lines))
         which = mesh.n_verts + np.arange(mesh.n_lines)
-        known = _classes(mesh, which) if len(rows) == len(which) else ()
-        kept = (KeptCells("line", rows, *known),)
+        kept = (KeptCells("line", rows, *_classes(
+            mesh, which, None if len(rows) == len(which) else parts)),)
     return faces.reshape(-1, 4)[:, 1:].copy(), ids, kept
 
 
-def _segments(lines: IndexArray) -> IndexArray:
-    """Segments (q, 2) of poly-lines stored as count, indices, count, indices, ..."""
+def _segments(lines: IndexArray) -> tuple[IndexArray, IndexArray]:
+    """Segments (q, 2) of poly-lines stored as count, indices, ..., and how many each has."""
     rows, at = [], 0
     while at < len(lines):
         chain = lines[at + 1 : at + 1 + lines[at]]
         rows.append(np.stack([chain[:-1], chain[1:]], axis=1))
         at += 1 + int(lines[at])
-    return np.concatenate(rows)
+    return np.concatenate(rows), np.array([len(part) for part in rows])
 
 
 def _write_polydata(out: Any, result: Result, host: HostMesh) -> IndexArray:

@@ -7,7 +7,7 @@ import meshio
 import numpy as np
 import pytest
 
-from odt_plugins import optimize
+from odt_plugins import optimize, remesh
 
 LINES = [(0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)]
 
@@ -74,3 +74,28 @@ def test_an_inlet_in_a_flat_side_has_its_size(host, numbered, dim, curved):
         out.points[:, None, :dim] - mesh.points[None, :, :dim]).max(axis=2).min(axis=1) < 1e-9)
     assert moved.any()
     np.testing.assert_allclose(sizes(out, dim), before, rtol=1e-9)
+
+
+@pytest.mark.parametrize("run", [
+    lambda mesh: optimize(mesh, boundary="slide", free="periodic"),
+    lambda mesh: remesh(mesh, scale=1.5, free="periodic"),
+    lambda mesh: remesh(mesh, scale=0.8, free="periodic")])
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_poly_line_along_an_edge_ends_where_it_did(run, dim):
+    pyvista = pytest.importorskip("pyvista")
+    points, cells = boxes.box(dim, 6)
+    points = np.pad(points**1.4, ((0, 0), (0, 3 - dim)))
+    along = np.flatnonzero((points[:, 1:] == 0).all(axis=1))[:4]
+    ends = points[along[[0, -1]]]
+    if dim == 2:
+        mesh = pyvista.PolyData(points, faces=np.insert(cells, 0, 3, axis=1).ravel(),
+                                lines=[4, *along])
+        out = run(mesh)
+        now = out.points[out.lines[1:]]
+    else:
+        flat = np.concatenate([np.insert(cells, 0, 4, axis=1).ravel(), [4, *along]])
+        mesh = pyvista.UnstructuredGrid(flat, [10] * len(cells) + [4], points)
+        out = run(mesh)
+        now = out.get_cell(int(np.flatnonzero(out.celltypes == 4)[0])).points
+    np.testing.assert_array_equal(now[[0, -1]], ends)
+    assert np.linalg.norm(np.diff(now, axis=0), axis=1).sum() == pytest.approx(ends[1, 0])
