@@ -181,7 +181,10 @@ def run_engine(
         cells = reverse(cells, np.ones(len(cells), dtype=np.bool_))
     if work.own is not None:
         cells, source = with_others(given.cells, cells, source, work.own)
-    whence = cell_origin(work.host.ids, work.host.total, source)
+    faces = new_faces(work, given, outcome)
+    whence = cell_origin(work.host.ids, work.host.total, source, [
+        (kept.ids, now.source) for kept, now in zip(given.kept, faces, strict=False)
+        if kept.ids is not None and now is not None])
     told = {"regions_from": work.host.regions_from, "notes": work.notes + outcome.notes,
             "cell_origin": whence, "plane": work.frame,
             "carrying": transfer_of(work, given, outcome, written, options, whence),
@@ -194,7 +197,7 @@ def run_engine(
         feet_of(work.host, work.mesh, places, cells, outcome.origin),
         data.vertices if not work.host.higher_order else None,
         locate=locating(work, near) if fields else None, same=same, of_cells=data.of_cells,
-        faces=new_faces(work, given, outcome),
+        faces=faces,
     )
     return work.adapter.write(result, given), before, outcome, told
 

@@ -36,12 +36,15 @@ class KeptCells(NamedTuple):
                                   one class may become each other
     labels : (q,) int or None     rows of different ones keep the border between them, where each
                                   row stays itself; None where the classes tell that
+    ids : (q,) int or None        place of each row among all cells of the object, of those with
+                                  classes where the host has such `ids`
     """
 
     kind: str
     rows: NDArray[Any]
     classes: NDArray[Any] | None = None
     labels: NDArray[Any] | None = None
+    ids: NDArray[Any] | None = None
 
 
 def middles(corners: NDArray[np.float64]) -> NDArray[np.float64]:

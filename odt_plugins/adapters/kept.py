@@ -81,7 +81,7 @@ def protect(
     lines = [mesh.lines]
     named: list[tuple[NDArray[np.int64], NDArray[Any]]] = []
     alike: list[tuple[NDArray[np.int64], NDArray[Any]]] = []
-    for kind, raw, classes, labels in kept:
+    for kind, raw, classes, labels, _ in kept:
         _check_range(kind, raw, n)
         rows = np.asarray(raw, dtype=np.int64)
         if rows.shape[1] > 1:
@@ -207,7 +207,7 @@ def protect_surface(
     lines, loose, stays = [mesh.lines], [np.zeros(0, dtype=np.int64)], [mesh.stays]
     named: list[tuple[NDArray[np.int64], NDArray[Any]]] = []
     alike: list[tuple[NDArray[np.int64], NDArray[Any]]] = []
-    for kind, raw, classes, labels in kept:
+    for kind, raw, classes, labels, _ in kept:
         _check_range(kind, raw, n)
         rows = np.asarray(raw, dtype=np.int64)
         if rows.shape[1] == 2 and len(rows):

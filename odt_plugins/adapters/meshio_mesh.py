@@ -455,7 +455,9 @@ def _kept(mesh: Any, i: int) -> KeptCells:
         if name not in NOT_CELL_INDICES and members[i] is not None:
             _check_members(name, np.asarray(members[i]), i, len(data))
             columns.append(_inside(np.asarray(members[i]), len(data)))
-    return KeptCells(kind, data[:, : FACES[kind]], *classes_of(columns, len(data)))
+    first = sum(len(block.data) for block in mesh.cells[:i])
+    return KeptCells(kind, data[:, : FACES[kind]], *classes_of(columns, len(data)),
+                     first + np.arange(len(data)))
 
 
 def _members(members: NDArray[Any], local: NDArray[np.int32], size: int) -> NDArray[Any]:

@@ -234,7 +234,7 @@ def _read_grid(mesh: Any) -> tuple[IndexArray, IndexArray, tuple[KeptCells, ...]
             rows = flat[_positions(start, size)][:, None]
         known: tuple[Any, ...] = ()
         if other in (LINE, POLY_LINE, *FACES):
-            known = _classes(mesh, which, size - 1 if other == POLY_LINE else None)
+            known = _known(mesh, which, size - 1 if other == POLY_LINE else None)
         kept.append(KeptCells(names[other], rows, *known))
     return cells, ids, tuple(kept)
 
@@ -245,16 +245,18 @@ def _beside(types: NDArray[Any], kind: int) -> list[tuple[int, IndexArray]]:
             if other not in (kind, VERTEX, POLY_VERTEX)]
 
 
-def _classes(
+def _known(
     mesh: Any, which: IndexArray, parts: IndexArray | None = None
-) -> tuple[NDArray[np.int64] | None, IndexArray]:
-    """Classes and labels of cells that have the same numbers in all arrays.
+) -> tuple[NDArray[np.int64] | None, IndexArray, IndexArray | None]:
+    """Classes, labels and ids of cells: of some that have the same numbers in all arrays.
 
     Cells of so many parts each, poly-lines, become no others: their parts have labels only.
     """
     arrays = [np.atleast_1d(mesh.cell_data[name])[which] for name in mesh.cell_data.keys()]
     classes, labels = classes_of(arrays, len(which))
-    return (classes, labels) if parts is None else (None, np.repeat(labels, parts))
+    if parts is not None:
+        return None, np.repeat(labels, parts), None
+    return classes, labels, which
 
 
 def _expect_one_order(types: NDArray[Any], size: IndexArray, kind: int) -> None:
@@ -418,7 +420,7 @@ def _read_polydata(mesh: Any) -> tuple[IndexArray, IndexArray, tuple[KeptCells, 
     if mesh.n_lines:
         rows, parts = _segments(np.asarray(mesh.lines))
         which = mesh.n_verts + np.arange(mesh.n_lines)
-        kept = (KeptCells("line", rows, *_classes(
+        kept = (KeptCells("line", rows, *_known(
             mesh, which, None if len(rows) == len(which) else parts)),)
     return faces.reshape(-1, 4)[:, 1:].copy(), ids, kept
 
