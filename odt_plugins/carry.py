@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -263,7 +264,8 @@ def _groups(labels: IntArray) -> dict[int, NDArray[np.intp]]:
 
 
 def cell_origin(
-    ids: NDArray[Any] | None, total: int, source: IntArray
+    ids: NDArray[Any] | None, total: int, source: IntArray,
+    others: Sequence[tuple[NDArray[Any], NDArray[np.int64]]] = (),
 ) -> NDArray[np.int64]:
     """Cell of an object of which every cell of the result takes the data.
 
@@ -272,9 +274,14 @@ def cell_origin(
     ids : (m,) int, optional    place of every optimised cell among so many of the object, ascending
     total : int
     source : (m',) int          optimised cell that each new one comes from
+    others : pairs              the same of cells beside them that are other ones now: their places,
+                                and which of them each comes from
     """
     if ids is None:
         return source.astype(np.int64)
     other = np.ones(total, dtype=np.bool_)
     other[ids] = False
-    return np.sort(np.concatenate([ids[source], np.flatnonzero(other)]))
+    for own, _ in others:
+        other[own] = False
+    return np.sort(np.concatenate([ids[source], *(own[now] for own, now in others),
+                                   np.flatnonzero(other)]))

@@ -192,7 +192,7 @@ def new_faces(
         return ()
     number = new_numbers(origin, len(before.points))
     out: list[NewFaces | None] = []
-    for _, raw, classes in given.kept:
+    for _, raw, classes, *_ in given.kept:
         rows = np.asarray(raw, dtype=np.int64)
         size = rows.shape[1]
         labels = np.full(len(rows), -1, dtype=np.int32)

@@ -130,7 +130,7 @@ def _pieces(work: Prepared, outcome: Outcome) -> LongArray:
 def _of_labels(faces: Faces, host: HostMesh) -> LongArray:
     """Face or curve of the geometry of every label of lines or triangles."""
     out = np.full(int(faces.labels.max(initial=-1)) + 1, -1, dtype=np.int64)
-    for _, raw, classes in host.kept:
+    for _, raw, classes, *_ in host.kept:
         if classes is None or np.shape(raw)[1] != faces.rows.shape[1]:
             continue
         label = labels_at(np.asarray(raw), faces)

@@ -19,6 +19,7 @@ from odt_plugins.adapters.host import (
     Adapter,
     HostMesh,
     Result,
+    as_indices,
     expect_tetrahedra,
     words_of,
 )
@@ -180,7 +181,10 @@ def run_engine(
         cells = reverse(cells, np.ones(len(cells), dtype=np.bool_))
     if work.own is not None:
         cells, source = with_others(given.cells, cells, source, work.own)
-    whence = cell_origin(work.host.ids, work.host.total, source)
+    faces = new_faces(work, given, outcome)
+    whence = cell_origin(work.host.ids, work.host.total, source, [
+        (kept.ids, now.source) for kept, now in zip(given.kept, faces, strict=False)
+        if kept.ids is not None and now is not None])
     told = {"regions_from": work.host.regions_from, "notes": work.notes + outcome.notes,
             "cell_origin": whence, "plane": work.frame,
             "carrying": transfer_of(work, given, outcome, written, options, whence),
@@ -188,15 +192,12 @@ def run_engine(
             "refused": wanted.refused + ("insert",) * (given.higher_order and not given.whole),
             "tangle": work.tangle, "curved": curved.facts, "layers": layers,
             "integrals": data.cell_integrals, "point_integrals": data.point_integrals}
-    kind = work.host.cells.dtype
-    if outcome.origin is not None and kind.kind != "f":
-        kind = np.promote_types(kind, np.min_scalar_type(len(outcome.points) - 1))
     result = Result(
-        points, cells.astype(kind), source, work.mesh.is_surface,
+        points, as_indices(cells, work.host.cells), source, work.mesh.is_surface,
         feet_of(work.host, work.mesh, places, cells, outcome.origin),
         data.vertices if not work.host.higher_order else None,
         locate=locating(work, near) if fields else None, same=same, of_cells=data.of_cells,
-        faces=new_faces(work, given, outcome),
+        faces=faces,
     )
     if given.higher_order and not work.host.higher_order:
         result = elevated(result, given, locating(work, near))

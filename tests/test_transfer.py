@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import pickle
 
+import boxes
 import contract
+import meshio
 import numpy as np
 import pytest
 import pyvista
 import surface_meshes
 import tangled_meshes
 import tet_meshes
+from gmsh_sessions import session
 
 import odt_plugins
 from odt_plugins.errors import InvalidOptionError, UnsupportedMeshError
@@ -142,3 +145,44 @@ def test_reports_of_several_meshes_send_to_their_parts_and_middle_nodes_to_the_m
     _, report = odt_plugins.optimize_with_report(mesh)
     with pytest.raises(UnsupportedMeshError, match="a point array of the mesh itself"):
         report.transfer(np.ones(mesh.n_points))
+
+
+@pytest.mark.parametrize("first", ["tetra", "triangle"])
+@pytest.mark.parametrize("host", ["meshio", "pyvista"])
+@pytest.mark.parametrize("scale", [1.6, 0.7])
+def test_values_of_lines_and_triangles_follow_those_that_were_resized(scale, host, first):
+    points, cells = boxes.box(3, 5)
+    skin = np.array(sorted(contract.facets(cells, np.zeros(len(cells), int))))[:, :3]
+    blocks = [("tetra", cells), ("triangle", skin)][:: 1 if first == "tetra" else -1]
+    starts = np.cumsum([0, *(len(rows) for _, rows in blocks)])
+    numbers = np.arange(starts[-1]) + 0.25
+    mesh = meshio.Mesh(points, blocks, cell_data={"number": np.split(numbers, starts[1:-1])})
+    if host == "pyvista":
+        mesh = pyvista.from_meshio(mesh)
+    out, report = odt_plugins.remesh_with_report(mesh, scale=scale, free="periodic")
+    there = out.cell_data["number"]
+    there = np.asarray(there) if host == "pyvista" else np.concatenate(there)
+    assert len(there) != len(numbers)
+    np.testing.assert_array_equal(report.transfer(numbers, at="cells"), there)
+    np.testing.assert_array_equal(numbers[report.cell_origin], there)
+
+
+def test_elements_of_a_model_that_was_resized_have_an_origin_each():
+    with session() as gmsh:
+        gmsh.model.occ.addBox(0, 0, 0, 1, 1, 1)
+        gmsh.model.occ.synchronize()
+        gmsh.option.setNumber("Mesh.MeshSizeMax", 0.25)
+        gmsh.model.mesh.generate(3)
+
+        def entities():
+            out = []
+            for dim, tag in gmsh.model.getEntities():
+                for tags in gmsh.model.mesh.getElements(dim, tag)[1]:
+                    out += [(dim, tag)] * len(tags)
+            return np.array(out)
+
+        before = entities()
+        report = odt_plugins.remesh_with_report(gmsh.model, scale=1.8)[1]
+        after = entities()
+        assert len(after) != len(before)
+        np.testing.assert_array_equal(before[report.cell_origin], after)

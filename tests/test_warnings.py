@@ -84,6 +84,13 @@ def elsewhere(place, monkeypatch):
     odt_plugins.tetrahedralize(points + 9.0, faces)
 
 
+def link(place, monkeypatch):
+    points, cells, _ = contract.grid(3, 4)
+    pairs = np.stack([np.flatnonzero(points[:, 0] == x) for x in (0, 1)], axis=1)
+    mesh = meshio.Mesh(points, [("tetra", cells)], gmsh_periodic=[[2, (2, 1), None, pairs]])
+    odt_plugins.remesh(mesh, scale=2, free="periodic")
+
+
 def point_set(place, monkeypatch):
     monkeypatch.setattr(plan, "run", contract.churn)
     points, cells, _ = contract.grid(2, 3)
@@ -182,6 +189,7 @@ CASES = {
     "adapters/formats/medit_solution.py": (of_another_mesh,),
     "adapters/formats/xdmf.py": (edges,),
     "adapters/higher_order.py": (point_set,),
+    "adapters/point_sets.py": (link,),
     "adapters/wedges.py": (seams,),
     "adapters/pymeshlab_copy.py": (curvature,),
     "adapters/pymeshlab_set.py": (held,),

@@ -162,6 +162,6 @@ def _edges(host: HostMesh) -> Edges:
 
 def _alone(host: HostMesh) -> NDArray[np.int64]:
     """Nodes that must stay, whatever else does."""
-    own = [np.asarray(rows, dtype=np.int64).ravel() for _, rows, _ in host.kept
+    own = [np.asarray(rows, dtype=np.int64).ravel() for _, rows, *_ in host.kept
            if rows.shape[1] == 1]
     return np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *own]))

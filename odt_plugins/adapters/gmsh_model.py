@@ -112,7 +112,7 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
     def places_of(nodes: NDArray[Any]) -> IntArray:
         return order[np.searchsorted(tags, nodes, sorter=order)]
 
-    ids: list[IntArray] = []
+    ids: dict[int, list[IntArray]] = {}
     kept: list[KeptCells] = []
     found: dict[int, list[Rows]] = {number: []}
     total = 0
@@ -120,9 +120,9 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
         for elements in part.elements:
             rows, other = places_of(elements.nodes), kinds[elements.number]
             own = Rows(elements.tags.astype(np.int64), rows, np.full(len(rows), i))
+            ids.setdefault(elements.number, []).append(total + np.arange(len(rows)))
             if elements.number == number:
                 found[number].append(own)
-                ids.append(total + np.arange(len(rows)))
             elif other.is_simplex and 0 < other.dim < kind.dim:
                 found.setdefault(elements.number, []).append(own)
             elif other.dim == 0 or not other.is_simplex:
@@ -138,7 +138,8 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
         groups = each_once(kinds[one].name, whole.nodes[:, : kinds[one].corners], whole.part)
         every[one] = whole._replace(kept=tuple(
             (len(kept) + i, chosen) for i, (_, chosen) in enumerate(groups)))
-        kept += [part for part, _ in groups]
+        own_ids = np.concatenate(ids[one])
+        kept += [part._replace(ids=own_ids[chosen]) for part, chosen in groups]
     bare = _bare(parts, entity, [*every.values(), cells])
     kept += [KeptCells("edge of a curve", bare)] if len(bare) else []
     nodes, where = cells.nodes, cells.part
@@ -166,7 +167,7 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
         whole=True,
         settle=partial(_settled, mesh),
         geometry=_geometry(mesh, parts, entity, tags, where),
-        ids=np.concatenate(ids),
+        ids=np.concatenate(ids[number]),
         total=total,
         words=in_words,
     )

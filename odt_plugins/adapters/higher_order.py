@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.adapters.colours import in_kind, varies
-from odt_plugins.adapters.host import Result, interpolated
+from odt_plugins.adapters.host import Result, as_indices, interpolated
 from odt_plugins.errors import DataNotKeptWarning, InvalidMeshError, warn
 from odt_plugins.mesh.facets import row_keys
 from odt_plugins.mesh.simplex import barycentric
@@ -261,7 +261,7 @@ def with_mid_nodes(
     old_number[gone] = np.where(np.isin(gone, kept), number[gone], -1)
     return HigherOrder(
         points=out[there].astype(points.dtype),
-        cells=number[cells].astype(rows.dtype),
+        cells=as_indices(number[cells], rows),
         origin=origin[there],
         corners=number[beside[there]],
         weights=share[there],
@@ -488,11 +488,12 @@ def renumbered(mapping: Mapping[str, Any], q: HigherOrder) -> dict[str, Any]:
     out = {}
     for name, members in mapping.items():
         raw = np.asarray(members)
-        if len(np.unique(raw)) == len(q.number):
-            out[name] = np.arange(len(q.points)).astype(raw.dtype)
+        given = np.flatnonzero(raw) if raw.dtype == np.bool_ else raw.astype(np.int64)
+        if len(np.unique(given)) == len(q.number):
+            out[name] = as_indices(np.arange(len(q.points)), raw)
             continue
-        new = q.number[raw]
-        out[name] = new[new >= 0].astype(raw.dtype)
+        new = q.number[given]
+        out[name] = as_indices(new[new >= 0], raw)
         if (new < 0).any():
             msg = (
                 f"point set {name!r} loses {int((new < 0).sum())} mid-nodes whose edges were "

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.adapters.colours import in_kind, varies
+from odt_plugins.adapters.regions import are_whole
 from odt_plugins.errors import InvalidOptionError, ODTError
 from odt_plugins.mesh.facets import row_keys
 
@@ -33,11 +34,17 @@ class KeptCells(NamedTuple):
                            that must stay faces of the mesh
     classes : (q,) int or None    class of each row where the adapter writes ``NewFaces``: rows of
                                   one class may become each other
+    labels : (q,) int or None     rows of different ones keep the border between them, where each
+                                  row stays itself; None where the classes tell that
+    ids : (q,) int or None        place of each row among all cells of the object, of those with
+                                  classes where the host has such `ids`
     """
 
     kind: str
     rows: NDArray[Any]
     classes: NDArray[Any] | None = None
+    labels: NDArray[Any] | None = None
+    ids: NDArray[Any] | None = None
 
 
 def middles(corners: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -61,20 +68,35 @@ def each_once(
     return [(KeptCells(kind, rows[chosen], classes[chosen]), chosen) for chosen in own]
 
 
-def classes_of(columns: Sequence[NDArray[Any]], count: int) -> NDArray[np.int64] | None:
-    """Classes (count,) of rows that are alike in all columns of whole numbers.
+def classes_of(
+    columns: Sequence[NDArray[Any]], count: int
+) -> tuple[NDArray[np.int64] | None, NDArray[np.int64]]:
+    """Classes and labels (count,) of rows that are alike in all columns of whole numbers and texts.
 
-    None where most numbers of a column are there once: they are no labels.
+    Most values of a column may be there once: they are no labels, and there are no classes.
+    Floating-point numbers are labels where few whole ones are there.
     """
+    own = False
     out = np.zeros(count, dtype=np.int64)
     for values in columns:
-        if values.dtype.kind not in "biu" or values.shape != (count,):
+        if values.shape not in ((count,), (count, 1)) or not are_whole(values):
             continue
-        distinct, label = np.unique(values, return_inverse=True)
+        texts = values.astype(str) if values.dtype.kind == "O" else values
+        distinct, label = np.unique(texts, return_inverse=True)
         if 2 * len(distinct) > max(count, 2):
-            return None
+            own |= values.dtype.kind != "f"
+            continue
         out = np.unique(out * len(distinct) + label.ravel(), return_inverse=True)[1].ravel()
-    return out
+    return None if own else out, out
+
+
+def as_indices(values: NDArray[np.integer], like: NDArray[Any]) -> NDArray[Any]:
+    """Indices in the type of others, or in a wider one that holds all of them."""
+    kind = like.dtype if like.dtype.kind in "iuf" else np.dtype(np.int64)
+    most = int(values.max(initial=0))
+    if kind.kind != "f" and most > np.iinfo(kind).max:
+        kind = np.promote_types(kind, np.min_scalar_type(most))
+    return values.astype(kind)
 
 
 class Geometry(NamedTuple):

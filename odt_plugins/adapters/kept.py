@@ -19,7 +19,7 @@ from odt_plugins.adapters.host import (
 from odt_plugins.errors import InvalidMeshError, counted
 from odt_plugins.mesh.arrays import BoolArray, IntArray
 from odt_plugins.mesh.components import components
-from odt_plugins.mesh.faces import Faces, ends_of, no_faces
+from odt_plugins.mesh.faces import Faces, borders_of, ends_of, no_faces
 from odt_plugins.mesh.facets import directed_facets, row_keys
 from odt_plugins.mesh.periodic import periodic_triangles
 from odt_plugins.mesh.simplex import SimplexMesh, freeze, with_same_cells
@@ -81,15 +81,18 @@ def protect(
     stays = [mesh.stays]
     lines = [mesh.lines]
     named: list[tuple[NDArray[np.int64], NDArray[Any]]] = []
-    for kind, raw, classes in kept:
+    alike: list[tuple[NDArray[np.int64], NDArray[Any]]] = []
+    for kind, raw, classes, labels, _ in kept:
         _check_range(kind, raw, n)
         rows = np.asarray(raw, dtype=np.int64)
         if rows.shape[1] > 1:
             held, exposed, _ = _hold(mesh, rows)
             inner += [rows[exposed]] if exposed.any() else []
-            if resized and classes is not None and _once(rows):
-                named.append((rows[held & ~exposed], classes[held & ~exposed]))
-            else:
+            own = labels if classes is None else classes
+            become = resized and classes is not None and _once(rows)
+            if own is not None and _once(rows):
+                (named if become else alike).append((rows[held & ~exposed], own[held & ~exposed]))
+            if not become:
                 stays.append(_edges(rows[held]))
             if rows.shape[1] == 2:
                 lines.append(_edges(rows[held]))
@@ -101,8 +104,9 @@ def protect(
     if not free:
         loose += [rows.ravel() for rows in inner]
     faces = _named(named, 2), _named(named, 3)
-    fixed = mesh.fixed | ends_of(faces[0], n)
+    fixed = mesh.fixed | ends_of(faces[0], n) | ends_of(_named(alike, 2), n)
     fixed[np.concatenate(loose)] = True
+    lines.append(borders_of(_named(alike, 3)))
     safe = with_same_cells(mesh, fixed=fixed, stays=np.concatenate(stays), faces=faces,
                            lines=np.concatenate(lines), anchored=anchored)
     return _parted(safe, inner) if inner else safe
@@ -220,16 +224,19 @@ def protect_surface(
     pairs = np.sort(mesh.cells[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     lines, loose, stays = [mesh.lines], [np.zeros(0, dtype=np.int64)], [mesh.stays]
     named: list[tuple[NDArray[np.int64], NDArray[Any]]] = []
-    for kind, raw, classes in kept:
+    alike: list[tuple[NDArray[np.int64], NDArray[Any]]] = []
+    for kind, raw, classes, labels, _ in kept:
         _check_range(kind, raw, n)
         rows = np.asarray(raw, dtype=np.int64)
         if rows.shape[1] == 2 and len(rows):
             keys = row_keys(np.concatenate([np.sort(rows, axis=1), pairs]), n)
             held = np.isin(keys[: len(rows)], keys[len(rows) :])
             lines.append(rows[held].astype(np.int32))
-            if resized and classes is not None and _once(rows):
-                named.append((rows[held], classes[held]))
-            elif others:
+            own = labels if classes is None else classes
+            become = resized and classes is not None and _once(rows)
+            if own is not None and _once(rows):
+                (named if become else alike).append((rows[held], own[held]))
+            if others and not become:
                 stays.append(lines[-1])
             rows = rows[~held]
         elif kind == NAMED_VERTEX and others:
@@ -237,7 +244,7 @@ def protect_surface(
             stays.append(pairs[among.all(axis=1)].astype(np.int32))
         loose.append(rows.ravel())
     faces = _named(named, 2), no_faces()[1]
-    fixed = mesh.fixed | ends_of(faces[0], n)
+    fixed = mesh.fixed | ends_of(faces[0], n) | ends_of(_named(alike, 2), n)
     fixed[np.concatenate(loose)] = True
     return replace(mesh, fixed=fixed, lines=np.concatenate(lines), stays=np.concatenate(stays),
                    faces=faces, anchored=_anchored(anchors, n))
@@ -341,7 +348,7 @@ def _note_inside(
         return ()
     k = before.cells.shape[1]
     count = 0
-    for _, raw, _ in host.kept:
+    for _, raw, *_ in host.kept:
         if raw.shape[1] == k - 1:
             rows = np.unique(np.sort(np.asarray(raw, dtype=np.int64), axis=1), axis=0)
             count += int(_hold(before, rows)[1].sum())
@@ -364,7 +371,7 @@ def _note_inside(
 def notes_on_sets(kept: tuple[KeptCells, ...]) -> tuple[str, ...]:
     """Say which vertices stay that a point set or something else of the file names."""
     return tuple(f"{counted(len(rows), kind, kind.replace('vertex', 'vertices'))} stay where they "
-                 f"are" for kind, rows, _ in kept if kind.startswith((SET_VERTEX, NAMED_VERTEX)))
+                 f"are" for kind, rows, *_ in kept if kind.startswith((SET_VERTEX, NAMED_VERTEX)))
 
 
 def hold_places(
@@ -390,7 +397,7 @@ def hold_places(
         notes.append(f"{counted(len(same), 'vertex', 'vertices')} (first: {same[0]}) at the place "
                      f"of another one stay, so that patches do not come apart there; try merging "
                      f"vertices at the same place")
-    splines = sum(len(rows) for kind, rows, _ in host.kept if kind == SPLINE_VERTEX)
+    splines = sum(len(rows) for kind, rows, *_ in host.kept if kind == SPLINE_VERTEX)
     if splines:
         notes.append(f"{counted(splines, 'vertex', 'vertices')} on splines stay, since Netgen "
                      f"takes no parameters of points there")

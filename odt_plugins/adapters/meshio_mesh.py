@@ -39,11 +39,12 @@ from odt_plugins.adapters.host import (
     KeptCells,
     NewVertices,
     Result,
+    as_indices,
     classes_of,
     is_instance,
 )
 from odt_plugins.adapters.normals import renewed
-from odt_plugins.adapters.point_sets import with_added
+from odt_plugins.adapters.point_sets import walls_of, whole_cells, with_added, with_links
 from odt_plugins.adapters.regions import AUTO, Labels, region_labels
 from odt_plugins.adapters.wedges import carried
 from odt_plugins.errors import InvalidMeshError, UnsupportedMeshError, counted
@@ -135,7 +136,7 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
     if len(getattr(mesh, HELD, ())):
         kept = (*kept, KeptCells(NAMED_VERTEX,
                                  np.asarray(getattr(mesh, HELD)).reshape(-1, 1)))
-    rows = nodes = np.concatenate([mesh.cells[i].data for i in chosen])
+    rows = nodes = _rows([np.asarray(mesh.cells[i].data) for i in chosen])
     if shape is not None:
         check_mid_nodes(nodes, len(mesh.points), shape)
         nodes = nodes[:, : shape.shape[1]]
@@ -144,16 +145,19 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
         inside = np.stack(list(sets.values()))
         if (inside.sum(axis=0) == 1).all():
             labels = Labels(np.argmax(inside, axis=0), tuple(sets))
+    sets_of = _sets_of(mesh, rows, labels.values, shape)
     return HostMesh(
         points=np.asarray(mesh.points),
         cells=nodes,
         regions=labels.values,
         regions_from=labels.names,
         blocks=np.repeat(np.arange(len(chosen)), size) if len(chosen) > 1 else None,
-        kept=(*kept, *_held_sets(mesh, rows)),
+        kept=(*kept, *(KeptCells(f"{SET_VERTEX} {name!r}", given.reshape(-1, 1))
+                       for name, given, whole in sets_of
+                       if len(given) and name != REQUIRED and not len(whole))),
         source=mesh,
         layout=dict(zip(chosen, np.cumsum([0, *size[:-1]]).tolist(), strict=True)),
-        anchors=_anchors(mesh, rows, nodes.shape[1]),
+        anchors=_anchors(mesh, sets_of, nodes.shape[1]),
         coupled=_coupled(mesh),
         higher_order=shape is not None,
         nodes=None if shape is None else rows,
@@ -165,6 +169,13 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
         fields=sampled({name: np.asarray(v) for name, v in mesh.point_data.items()}),
         densities=dense(arrays, (TEXTURE,)),
     )
+
+
+def _rows(blocks: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    """Cells of several blocks, as whole numbers where each has a type of these."""
+    rows = np.concatenate(blocks)
+    whole = rows.dtype.kind == "f" and all(block.dtype.kind in "iu" for block in blocks)
+    return rows.astype(np.int64) if whole else rows
 
 
 def _shape(kind: str, width: int) -> Lattice | None:
@@ -201,6 +212,7 @@ def write(result: Result, host: HostMesh) -> Any:
         for name in host.fields:
             out.point_data[name] = result.vertices.carried(np.asarray(out.point_data[name]), name)
     out.points = result.points
+    _follow_links(out, host, nodes)
     if result.split is not None:
         _refine_others(out, result, host)
     for i, start in host.layout.items():
@@ -208,7 +220,7 @@ def write(result: Result, host: HostMesh) -> Any:
         end = start + len(block.data)
         here = np.flatnonzero((result.source >= start) & (result.source < end))
         local = result.source[here] - start
-        block.data = result.cells[here].astype(block.data.dtype)
+        block.data = as_indices(result.cells[here], block.data)
         _take(out, i, local, end - start)
         if origin is not None:
             origin.cells[i] = origin.cells[i][local]
@@ -238,6 +250,20 @@ def _renew_normals(out: Any, result: Result, host: HostMesh) -> None:
             of_vertices=False)
 
 
+def _follow_links(out: Any, host: HostMesh, nodes: NDArray[np.integer] | None) -> None:
+    """Let what is said of points that correspond follow, where they come from these `nodes`."""
+    number = np.arange(len(host.points))
+    if nodes is not None:
+        number[:] = -1
+        number[nodes[nodes >= 0]] = np.flatnonzero(nodes >= 0)
+    if out.gmsh_periodic:
+        out.gmsh_periodic = with_links(
+            out.gmsh_periodic, number, host.points, out.points) or None
+    if getattr(out, "identified", None) is not None:
+        out.identified = np.unique(number[out.identified])
+        out.identified = out.identified[out.identified >= 0]
+
+
 def _coupled(mesh: Any) -> NDArray[np.int64] | None:
     """Vertices of the faces that a file of Gmsh or Netgen says to be periodic, if there are any."""
     known = getattr(mesh, "identified", None)
@@ -252,35 +278,34 @@ def _texture(arrays: dict[str, NDArray[Any]], kind: str) -> NDArray[Any] | None:
     return None if uv is None or uv.shape[1:] != (6,) else uv.reshape(-1, 3, 2).astype(np.float64)
 
 
-def _held_sets(mesh: Any, cells: NDArray[Any]) -> tuple[KeptCells, ...]:
-    """Vertices of point sets that are no volumes: of which most are in no cell all of the set."""
-    found = ((name, *_filled(mesh, members, cells)) for name, members in mesh.point_sets.items())
-    return tuple(KeptCells(f"{SET_VERTEX} {name!r}", given.reshape(-1, 1))
-                 for name, given, inside, _ in found
-                 if len(given) and name != REQUIRED and 2 * inside <= len(given))
+def _sets_of(
+    mesh: Any, cells: NDArray[Any], labels: NDArray[Any] | None, shape: Lattice | None
+) -> list[tuple[str, NDArray[Any], NDArray[Any]]]:
+    """Name and vertices of every point set, and the cells that fill it if it is a volume."""
+    out = []
+    known = ((cells >= 0) & (cells < len(mesh.points))).all(axis=1)
+    cells = cells[known].astype(np.int64)
+    walls = walls_of(cells, None if labels is None else labels[known], len(mesh.points), shape) if (
+        mesh.point_sets) else cells
+    for name, members in mesh.point_sets.items():
+        given = indices(members)
+        given = given[(given >= 0) & (given < len(mesh.points))]
+        out.append((name, given, whole_cells(given, cells, walls, len(mesh.points), shape)))
+    return out
 
 
-def _filled(
-    mesh: Any, members: Any, cells: NDArray[Any]
-) -> tuple[NDArray[Any], int, NDArray[Any]]:
-    """Vertices of a set, how many are in cells all of which are in it, and these cells."""
-    given = indices(members)
-    given = given[(given >= 0) & (given < len(mesh.points))]
-    whole = cells[_inside(given, len(mesh.points))[cells].all(axis=1)]
-    return given, int(_inside(np.unique(whole), len(mesh.points))[given].sum()), whole
-
-
-def _anchors(mesh: Any, cells: NDArray[Any], corners: int) -> NDArray[Any]:
+def _anchors(
+    mesh: Any, sets: list[tuple[str, NDArray[Any], NDArray[Any]]], corners: int
+) -> NDArray[Any]:
     """Vertices of vertex cells, and of point sets that are no volumes.
 
     A volume is filled by cells, which are more than half as many as its corners.
     """
     named = [np.asarray(block.data) for block in mesh.cells if block.type == "vertex"]
-    for members in mesh.point_sets.values():
-        given, inside, whole = _filled(mesh, members, cells)
-        if 2 * inside <= len(given) or 2 * len(whole) <= len(np.unique(whole[:, :corners])):
-            named.append(given)
-    return np.concatenate([np.zeros(0, dtype=np.int64), *(v.ravel() for v in named)])
+    named += [given for _, given, whole in sets
+              if 2 * len(whole) <= len(np.unique(whole[:, :corners]))]
+    return np.concatenate([np.zeros(0, dtype=np.int64),
+                           *(v.ravel().astype(np.int64) for v in named)])
 
 
 def _refine_others(out: Any, result: Result, host: HostMesh) -> None:
@@ -292,16 +317,16 @@ def _refine_others(out: Any, result: Result, host: HostMesh) -> None:
         if i in host.layout or result.split is None or not len(block.data):
             continue
         size = len(block.data)
-        block.data = result.split(np.asarray(block.data)).astype(block.data.dtype)
+        block.data = as_indices(result.split(np.asarray(block.data)), block.data)
         local = np.repeat(np.arange(size), len(block.data) // size)
         _take(out, i, local, size)
     if result.vertices is None:
         return
     for name, members in out.point_sets.items():
-        old = np.asarray(members)
+        old = indices(members)
         inside = _inside(old, len(host.points))
         added = len(host.points) + np.flatnonzero(inside[result.vertices.corners].all(axis=1))
-        out.point_sets[name] = np.concatenate([old, added.astype(old.dtype)])
+        out.point_sets[name] = as_indices(np.concatenate([old, added]), np.asarray(members))
 
 
 def _take(out: Any, i: int, local: NDArray[Any], size: int) -> None:
@@ -322,13 +347,13 @@ def _renumber(
         if i in others:
             size = len(block.data)
             now = result.faces_of(others.index(i), np.asarray(block.data))
-            block.data = now.rows.astype(block.data.dtype)
+            block.data = as_indices(now.rows, block.data)
             if not np.array_equal(now.source, np.arange(size)):
                 _take(out, i, now.source, size)
                 if origin is not None:
                     origin.cells[i] = origin.cells[i][now.source]
         elif i not in host.layout:
-            block.data = vertices.number[block.data].astype(block.data.dtype)
+            block.data = as_indices(vertices.number[block.data], block.data)
     entities = out.cell_data.get(CELL_ENTITIES)
     for name, values in out.point_data.items():
         out.point_data[name] = vertices.carried(
@@ -342,21 +367,18 @@ def _renumber(
                 _set_entities(out.point_data[name], out.cells[i].dim, out.cells[i].data, fresh,
                               np.asarray(entities[i]))
     for name, members in out.point_sets.items():
-        old = np.asarray(members)
-        kind = np.int64 if old.dtype == np.bool_ else old.dtype
         there = vertices.number[indices(members)] if result.split is not None else with_added(
-            indices(members), host.cells if host.nodes is None else host.nodes, result, vertices,
-            host.regions, host.shape)
-        out.point_sets[name] = there.astype(kind)
+            indices(members), host, result, vertices)
+        out.point_sets[name] = as_indices(there, np.asarray(members))
 
 
 def _with_mid_nodes(
     out: Any, result: Result, host: HostMesh
 ) -> tuple[Result, NDArray[np.int64] | None]:
     """Give every edge its mid-node; point data, sets and other blocks follow their nodes."""
-    nodes = np.concatenate([out.cells[i].data for i in host.layout])
+    nodes = _rows([np.asarray(out.cells[i].data) for i in host.layout])
     others = [i for i in range(len(out.cells)) if i not in host.layout]
-    kept = [np.asarray(out.cells[i].data).ravel() for i in others]
+    kept = [np.asarray(out.cells[i].data).ravel().astype(np.int64) for i in others]
     shape = _shape(out.cells[next(iter(host.layout))].type, nodes.shape[1])
     if shape is None:
         return result, None
@@ -364,7 +386,7 @@ def _with_mid_nodes(
                        np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *kept])), shape)
     for i in others:
         old = np.asarray(out.cells[i].data)
-        out.cells[i].data = q.number[old].astype(old.dtype)
+        out.cells[i].data = as_indices(q.number[old], old)
     placed = placed_nodes(q, result, host.points, nodes)
     entities = out.cell_data.get(CELL_ENTITIES)
     for name, values in out.point_data.items():
@@ -439,21 +461,22 @@ def _kept(mesh: Any, i: int, order: int) -> KeptCells:
     kind, data = mesh.cells[i].type, np.asarray(mesh.cells[i].data)
     if kind not in FACES:
         return KeptCells(kind, data.reshape(-1, 1))
-    classes = None
-    if HIGHER.get(kind, (0, 1))[1] == order and kind not in LAGRANGE:
-        columns = [np.asarray(values[i]) for values in mesh.cell_data.values()]
-        for name, members in mesh.cell_sets.items():
-            if name not in NOT_CELL_INDICES and members[i] is not None:
-                _check_members(name, np.asarray(members[i]), i, len(data))
-                columns.append(_inside(np.asarray(members[i]), len(data)))
-        classes = classes_of(columns, len(data))
-    return KeptCells(kind, data[:, : FACES[kind]], classes)
+    columns = [np.asarray(values[i]) for values in mesh.cell_data.values()]
+    for name, members in mesh.cell_sets.items():
+        if name not in NOT_CELL_INDICES and members[i] is not None:
+            _check_members(name, np.asarray(members[i]), i, len(data))
+            columns.append(_inside(np.asarray(members[i]), len(data)))
+    classes, labels = classes_of(columns, len(data))
+    if HIGHER.get(kind, (0, 1))[1] != order or kind in LAGRANGE:
+        classes = None
+    first = sum(len(block.data) for block in mesh.cells[:i])
+    return KeptCells(kind, data[:, : FACES[kind]], classes, labels, first + np.arange(len(data)))
 
 
 def _members(members: NDArray[Any], local: NDArray[np.int32], size: int) -> NDArray[Any]:
     """Cells of a block that come from members of a cell set: a mask, or indices that increase."""
     inside = _inside(members, size)[local]
-    return inside if members.dtype == np.bool_ else np.flatnonzero(inside).astype(members.dtype)
+    return inside if members.dtype == np.bool_ else as_indices(np.flatnonzero(inside), members)
 
 
 def _inside(members: NDArray[Any], size: int) -> NDArray[np.bool_]:

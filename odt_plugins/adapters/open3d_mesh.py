@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from odt_plugins.adapters.fields import dense, sampled
 from odt_plugins.adapters.host import HostMesh, KeptCells, Result, is_instance
 from odt_plugins.adapters.regions import region_labels
-from odt_plugins.adapters.wedges import carried, charts
+from odt_plugins.adapters.wedges import carried, charts, slid
 from odt_plugins.errors import InvalidMeshError, ODTWarning, UnsupportedMeshError, warn
 
 REMEDIES = (
@@ -149,7 +149,9 @@ def _read_tensor(mesh: Any, regions: str | Sequence[str] | None) -> HostMesh:
     uv = arrays.get("texture_uvs")
     uv = None if uv is None else _wedges(uv.reshape(-1, 2), m, "triangle.texture_uvs")
     host = _host(mesh, points, cells, uv, arrays, regions)
-    return replace(host, fields=sampled(_point_data(mesh), ("texture_uvs",)))
+    data = _point_data(mesh)
+    texture = data.get("texture_uvs") if uv is None else uv
+    return replace(host, fields=sampled(data, ("texture_uvs",)), texture=texture)
 
 
 def _host(
@@ -217,6 +219,8 @@ def _write_tensor(result: Result, host: HostMesh, same: bool) -> Any:
         name: moved.carried(values, name, field=name in host.fields)
         for name, values in _point_data(mesh).items()
         if name in host.fields or moved.renumbered}
+    if "texture_uvs" in mesh.vertex and result.feet is not None:
+        data["texture_uvs"] = slid(_point_data(mesh)["texture_uvs"], host.cells, result.feet)
     for values, arrays in ((out.vertex, data | {"positions": result.points}),
                            (out.triangle, _triangle_data(result, host))):
         for name, array in arrays.items():

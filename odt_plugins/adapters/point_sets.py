@@ -2,57 +2,182 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import combinations
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters.host import NewVertices, Result
+from odt_plugins.adapters.host import HostMesh, NewVertices, Result, as_indices
+from odt_plugins.errors import DataNotKeptWarning, counted, warn
 from odt_plugins.mesh.facets import row_keys
 
 ZERO = 1e-9
 """Barycentric coordinates below which a point is on the opposite face."""
 
+SLACK = 0.1
+"""How much further than the nearest facet one that a point is on may be, by the shortest edge."""
+
 
 def with_added(
-    members: NDArray[np.integer], cells: NDArray[np.integer], result: Result,
-    vertices: NewVertices, labels: NDArray[np.integer] | None,
-    shape: NDArray[np.int64] | None = None,
+    members: NDArray[np.integer], host: HostMesh, result: Result, vertices: NewVertices
 ) -> NDArray[np.int64]:
     """Points of the result that are in a set, those that were added behind those from before.
 
     A point that was added is in the set where the corners of the input around it all are: those
-    of a cell where most points of the set are in cells that it has as a whole, those of a facet
-    on the boundary or an interface where most are in such facets.
+    of a cell where most points of the set are in cells that it has as a whole, those of the facet
+    on the boundary or an interface next to it where most are in such facets.
 
     Parameters
     ----------
     members : (q,) int           points of the input
-    cells : (m, k) int           of the input
+    host : HostMesh              of the input
     result : Result
     vertices : NewVertices       of that result
-    labels : (m,) int or None    regions of the cells of the input
-    shape : (k, d + 1) int       whole barycentric weights of the nodes of cells of higher order
     """
     number: NDArray[np.int64] = vertices.number[members]
     number = number[number >= 0]
     new = vertices.origin[vertices.placed] < 0
     if not len(members) or not new.any():
         return number
-    n, k = len(vertices.number), cells.shape[1]
+    n = len(vertices.number)
     inside = np.zeros(n, dtype=np.bool_)
     inside[members] = True
-    away = np.abs(vertices.weights[new]) > ZERO
-    joins = (inside[vertices.corners[new]] | ~away).all(axis=1)
-    joins &= away.any(axis=1)
-    placed = vertices.placed[new]
-    if not _filled(cells[inside[cells].all(axis=1)], members, n):
-        walls = _walls(cells, labels, n, shape)
-        if not _filled(walls[inside[walls].all(axis=1)], members, n):
+    placed, near = vertices.placed[new], vertices.corners[new]
+    shape, corners = host.shape, host.cells.shape[1]
+    cells = np.asarray(host.cells if host.nodes is None else host.nodes, dtype=np.int64)
+    walls = walls_of(cells, host.regions, n, shape)
+    joins: NDArray[np.bool_] = np.zeros(len(placed), dtype=np.bool_)
+    whole = whole_cells(members, cells, walls, n, shape)
+    if len(whole):
+        away = np.abs(vertices.weights[new]) > ZERO
+        joins = np.asarray((inside[near] | ~away).all(axis=1) & away.any(axis=1))
+        sheet = walls_of(whole, None, n, shape)
+    else:
+        sheet = walls[inside[walls].all(axis=1)]
+        if not _filled(sheet, members, n):
             return number
-        of_cells = None if labels is None else labels[result.source]
-        on = np.zeros(len(result.points), dtype=np.bool_)
-        on[_walls(result.cells, of_cells, len(result.points), shape)] = True
-        joins &= on[placed] & (away.sum(axis=1) < k)
+    of_cells = None if host.regions is None else host.regions[result.source]
+    on = np.zeros(len(result.points), dtype=np.bool_)
+    on[walls_of(result.cells, of_cells, len(result.points), shape)] = True
+    points, own = result.points.astype(np.float64), np.flatnonzero(on[placed])
+    before = host.points.astype(np.float64)
+    slack = SLACK * _shortest(points, np.asarray(result.cells)[:, :corners])[placed[own]]
+    away_from = [_nearest(points[placed[own]], near[own], before, facets[:, : corners - 1])
+                 for facets in (walls, sheet)]
+    joins[own] |= away_from[1] < away_from[0] + slack
     return np.concatenate([number, placed[joins]])
+
+
+def with_links(
+    links: Sequence[Any], number: NDArray[np.integer], before: NDArray[Any], after: NDArray[Any]
+) -> list[Any]:
+    """Periodic links of a mesh of meshio, [.., .., .., pairs (q, 2) of points], in other numbers.
+
+    Parameters
+    ----------
+    links : list              of the input
+    number : (n,) int         point of the result for every one of the input, -1 if it went
+    before, after : (n, D)    points of the input and of the result
+
+    Returns
+    -------
+    list                      those all of whose points are there, and moved alike if at all
+
+    Warns
+    -----
+    DataNotKeptWarning        there are others
+    """
+    out = []
+    for *head, pairs in links:
+        old = np.asarray(pairs)
+        new = np.asarray(number[old.astype(np.int64)])
+        moved = after[new].astype(np.float64) - before[old.astype(np.int64)]
+        near = 1e-9 * np.ptp(before, axis=0).max(initial=0.0)
+        if (new >= 0).all() and (np.abs(moved[:, 0] - moved[:, 1]) <= near).all():
+            out.append([*head, as_indices(new, old)])
+    if len(out) < len(links):
+        msg = (f"{counted(len(links) - len(out), 'periodic link')} whose points went or moved "
+               f"are left out; to keep them leave 'periodic' out of free")
+        warn(msg, DataNotKeptWarning)
+    return out
+
+
+def whole_cells(
+    members: NDArray[np.integer], cells: NDArray[np.integer], walls: NDArray[np.int64], n: int,
+    shape: NDArray[np.int64] | None = None,
+) -> NDArray[np.int64]:
+    """Cells all of whose points are in a set (q,), if most of the set is there and it is a volume.
+
+    It is none where most of the walls (w, r) that it has as a whole are of other cells, as where
+    cells in the corners of a mesh have all their points on its boundary.
+    """
+    inside = np.zeros(n, dtype=np.bool_)
+    inside[members] = True
+    whole: NDArray[np.int64] = cells[inside[cells].all(axis=1)].astype(np.int64)
+    own = walls[inside[walls].all(axis=1)]
+    key = _keys(np.concatenate([own, _facets(whole, shape)]), n, shape)
+    of_whole = np.isin(key[: len(own)], key[len(own):])
+    volume = _filled(whole, members, n) and 2 * of_whole.sum() >= len(own)
+    return whole if volume else whole[:0]
+
+
+def _nearest(
+    places: NDArray[np.float64], near: NDArray[np.integer], points: NDArray[np.float64],
+    facets: NDArray[np.int64],
+) -> NDArray[np.float64]:
+    """Distance (k,) of every place (k, D) from those facets (q, r) at its points `near` (k, c)."""
+    row, facet = _around(near, facets, len(points))
+    out = np.full(len(places), np.inf)
+    np.minimum.at(out, row, _distances(places[row], points[facets[facet]]))
+    return out
+
+
+def _around(
+    near: NDArray[np.integer], walls: NDArray[np.int64], n: int
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Pairs of a row (k, c) of points and a wall (q, r) that has some of them."""
+    order = np.argsort(walls, axis=None, kind="stable")
+    first = np.searchsorted(walls.ravel()[order], np.arange(n + 1))
+    start, size = first[near].ravel(), (first[near + 1] - first[near]).ravel()
+    row = np.repeat(np.arange(near.size), size)
+    place = np.arange(len(row)) + (start - np.cumsum(size) + size)[row]
+    return row // near.shape[1], order[place] // walls.shape[1]
+
+
+def _distances(
+    points: NDArray[np.float64], corners: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Distances (k,) of points (k, D) from lines or triangles (k, r, D)."""
+    out = np.full(len(points), np.inf)
+    for i, j in combinations(range(corners.shape[1]), 2):
+        along, to = corners[:, j] - corners[:, i], points - corners[:, i]
+        length = np.maximum((along * along).sum(axis=1), np.finfo(np.float64).tiny)
+        share = np.clip((to * along).sum(axis=1) / length, 0.0, 1.0)
+        off = to - share[:, None] * along
+        out = np.minimum(out, (off * off).sum(axis=1))
+    if corners.shape[1] == 3:
+        sides = np.roll(corners, -1, axis=1) - corners
+        normal = np.cross(sides[:, 0], sides[:, 1])
+        turned = np.cross(sides, points[:, None] - corners)
+        over = (np.einsum("kij,kj->ki", turned, normal) > 0.0).all(axis=1)
+        height = ((points - corners[:, 0]) * normal).sum(axis=1)[over]
+        out[over] = height * height / (normal * normal).sum(axis=1)[over]
+    return np.asarray(np.sqrt(out))
+
+
+def _shortest(
+    points: NDArray[np.float64], cells: NDArray[np.integer]
+) -> NDArray[np.float64]:
+    """Length (n,) of the shortest edge at every point."""
+    out = np.full(len(points), np.inf)
+    for i, j in combinations(range(cells.shape[1]), 2):
+        along = points[cells[:, i]] - points[cells[:, j]]
+        length = (along * along).sum(axis=1)
+        np.minimum.at(out, cells[:, i], length)
+        np.minimum.at(out, cells[:, j], length)
+    return np.asarray(np.sqrt(out))
 
 
 def _filled(rows: NDArray[np.integer], members: NDArray[np.integer], n: int) -> bool:
@@ -62,20 +187,37 @@ def _filled(rows: NDArray[np.integer], members: NDArray[np.integer], n: int) -> 
     return bool(2 * corner[members].sum() > len(members))
 
 
-def _walls(
-    cells: NDArray[np.integer], labels: NDArray[np.integer] | None, n: int,
-    shape: NDArray[np.int64] | None
+def _facets(
+    cells: NDArray[np.integer], shape: NDArray[np.int64] | None
 ) -> NDArray[np.int64]:
-    """Facets of one cell alone, or of two of different labels, with all their nodes."""
+    """Facets of cells (m, k) with all their nodes, corners first, those of every side together."""
     weights = np.eye(cells.shape[1], dtype=np.int64) if shape is None else shape
-    d = weights.shape[1]
-    facets = np.concatenate([cells[:, weights[:, i] == 0] for i in range(d)]).astype(np.int64)
+    return np.concatenate([cells[:, weights[:, i] == 0] for i in range(weights.shape[1])]).astype(
+        np.int64)
+
+
+def _keys(
+    facets: NDArray[np.int64], n: int, shape: NDArray[np.int64] | None
+) -> NDArray[np.int64]:
+    """Numbers of facets, equal where the corners are."""
+    corners = facets.shape[1] if shape is None else shape.shape[1] - 1
+    return row_keys(np.sort(facets[:, :corners], axis=1), n)
+
+
+def walls_of(
+    cells: NDArray[np.integer], labels: NDArray[np.integer] | None, n: int,
+    shape: NDArray[np.int64] | None = None,
+) -> NDArray[np.int64]:
+    """Facets of one cell alone, or of two of different labels, with all their nodes.
+
+    Of cells (m, k) of higher order `shape` (k, d + 1) are the weights of the nodes.
+    """
+    facets = _facets(cells, shape)
     own = np.zeros(len(cells), dtype=np.int64) if labels is None else labels
-    _, first, inverse, count = np.unique(row_keys(np.sort(facets[:, : d - 1], axis=1), n),
-                                         return_index=True, return_inverse=True,
-                                         return_counts=True)
+    _, first, inverse, count = np.unique(
+        _keys(facets, n, shape), return_index=True, return_inverse=True, return_counts=True)
     inverse = inverse.ravel()
-    label = np.tile(own, d)
+    label = np.tile(own, len(facets) // max(len(cells), 1))
     differ = np.zeros(len(first), dtype=np.bool_)
     np.logical_or.at(differ, inverse, label != label[first[inverse]])
     return np.asarray(facets[first[(count == 1) | differ]])

@@ -234,9 +234,12 @@ def _read_grid(mesh: Any) -> tuple[IndexArray, IndexArray, tuple[KeptCells, ...]
             rows = flat[start[:, None] + np.arange(FACES[other])]
         else:
             rows = flat[_positions(start, size)][:, None]
-        follow = (LINE, TRIANGLE) if kind in LINEAR else (21, 22)
-        classes = _classes(mesh, which) if other in follow else None
-        kept.append(KeptCells(names[other], rows, classes))
+        known: tuple[Any, ...] = ()
+        if other in (LINE, POLY_LINE, *FACES):
+            known = _known(mesh, which, size - 1 if other == POLY_LINE else None)
+            if other not in ((LINE, TRIANGLE) if kind in LINEAR else (21, 22, 68, 69)):
+                known = (None, *known[1:])
+        kept.append(KeptCells(names[other], rows, *known))
     return cells, ids, tuple(kept)
 
 
@@ -246,10 +249,18 @@ def _beside(types: NDArray[Any], kind: int) -> list[tuple[int, IndexArray]]:
             if other not in (kind, VERTEX, POLY_VERTEX)]
 
 
-def _classes(mesh: Any, which: IndexArray) -> NDArray[np.int64] | None:
-    """Classes of cells that have the same numbers in all arrays."""
+def _known(
+    mesh: Any, which: IndexArray, parts: IndexArray | None = None
+) -> tuple[NDArray[np.int64] | None, IndexArray, IndexArray | None]:
+    """Classes, labels and ids of cells: of some that have the same numbers in all arrays.
+
+    Cells of so many parts each, poly-lines, become no others: their parts have labels only.
+    """
     arrays = [np.atleast_1d(mesh.cell_data[name])[which] for name in mesh.cell_data.keys()]
-    return classes_of(arrays, len(which))
+    classes, labels = classes_of(arrays, len(which))
+    if parts is not None:
+        return None, np.repeat(labels, parts), None
+    return classes, labels, which
 
 
 def _expect_one_order(types: NDArray[Any], size: IndexArray, kind: int) -> None:
@@ -411,21 +422,21 @@ def _read_polydata(mesh: Any) -> tuple[IndexArray, IndexArray, tuple[KeptCells, 
     ids = np.arange(mesh.n_cells - n_faces, mesh.n_cells)
     kept: tuple[KeptCells, ...] = ()
     if mesh.n_lines:
-        rows = _segments(np.asarray(mesh.lines))
+        rows, parts = _segments(np.asarray(mesh.lines))
         which = mesh.n_verts + np.arange(mesh.n_lines)
-        classes = _classes(mesh, which) if len(rows) == len(which) else None
-        kept = (KeptCells("line", rows, classes),)
+        kept = (KeptCells("line", rows, *_known(
+            mesh, which, None if len(rows) == len(which) else parts)),)
     return faces.reshape(-1, 4)[:, 1:].copy(), ids, kept
 
 
-def _segments(lines: IndexArray) -> IndexArray:
-    """Segments (q, 2) of poly-lines stored as count, indices, count, indices, ..."""
+def _segments(lines: IndexArray) -> tuple[IndexArray, IndexArray]:
+    """Segments (q, 2) of poly-lines stored as count, indices, ..., and how many each has."""
     rows, at = [], 0
     while at < len(lines):
         chain = lines[at + 1 : at + 1 + lines[at]]
         rows.append(np.stack([chain[:-1], chain[1:]], axis=1))
         at += 1 + int(lines[at])
-    return np.concatenate(rows)
+    return np.concatenate(rows), np.array([len(part) for part in rows])
 
 
 def _write_polydata(out: Any, result: Result, host: HostMesh) -> IndexArray:

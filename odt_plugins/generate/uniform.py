@@ -15,6 +15,7 @@ from odt_plugins.adapters.host import (
     HostMesh,
     NewVertices,
     Result,
+    as_indices,
     is_instance,
 )
 from odt_plugins.adapters.registry import find_adapter
@@ -90,12 +91,10 @@ def uniform_refine(mesh: MeshT) -> MeshT:
         refined.edges.astype(np.int32),
         np.full((added, 2), 0.5),
     )
-    kind = host.cells.dtype
-    if kind.kind != "f":
-        kind = np.promote_types(kind, np.min_scalar_type(len(points) - 1))
     parts = len(refined.cells) // len(t)
     result = Result(
-        points, refined.cells.astype(kind), np.repeat(np.arange(len(t), dtype=np.int32), parts),
+        points, as_indices(refined.cells, host.cells),
+        np.repeat(np.arange(len(t), dtype=np.int32), parts),
         vertices=vertices, split=partial(refined_rows, edges=refined.edges, n=n),
     )
     out: MeshT = adapter.write(result, host)

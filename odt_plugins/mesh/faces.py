@@ -79,6 +79,18 @@ def ends_of(lines: Faces, n: int) -> BoolArray:
     return out
 
 
+def borders_of(triangles: Faces) -> IntArray:
+    """Edges (k, 2) of triangles at which there is not just another one of the same label."""
+    edges = np.sort(triangles.rows[:, [[0, 1], [0, 2], [1, 2]]].reshape(-1, 2), axis=1)
+    every, number, count = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
+    labels, number = np.repeat(triangles.labels, 3), number.ravel()
+    first = np.zeros(len(every), dtype=np.int32)
+    first[number] = labels
+    differ = np.zeros(len(every), dtype=np.bool_)
+    differ[number[labels != first[number]]] = True
+    return np.asarray(every[(count != 2) | differ])
+
+
 def turns_of(
     rows: NDArray[np.integer], facets: IntArray
 ) -> tuple[BoolArray, BoolArray]:

@@ -120,6 +120,30 @@ def test_numbers_that_tell_every_triangle_apart_hold_them():
         assert np.abs(middle[0] - middle[1]).max() < 0.2
 
 
+@pytest.mark.parametrize("kind", [float, np.float32, str, object])
+def test_labels_of_faces_may_be_texts_or_whole_floats(kind):
+    before = labelled_box()
+    tags = before.cell_data.pop("tag")
+    before.cell_data["kind"] = [np.asarray(tag).astype(kind) for tag in tags]
+    if kind is object:
+        before.cell_data["kind"] = [np.array([f"label {i}" for i in tag], dtype=object)
+                                    for tag in tags]
+    after = remesh(before, scale=1.7, envelope=0.01, free="periodic")
+    assert len(after.cells[1].data) < len(before.cells[1].data)
+    assert after.cell_data["kind"][1].dtype == before.cell_data["kind"][1].dtype
+    for mesh in before, after:
+        mesh.cell_data["tag"] = [np.unique(np.concatenate(mesh.cell_data["kind"]).astype(str),
+                                           return_inverse=True)[1][start: start + len(block.data)]
+                                 for start, block in zip(np.cumsum(
+                                     [0, *(len(b.data) for b in mesh.cells[:-1])]), mesh.cells,
+                                     strict=True)]
+    was, now = of_labels(before, "tag"), of_labels(after, "tag")
+    assert was.keys() == now.keys()
+    for name, (size, sums, _) in was.items():
+        assert now[name][0] == pytest.approx(size, rel=1e-9)
+        np.testing.assert_allclose(now[name][1], sums, atol=1e-9)
+
+
 def test_a_fixed_boundary_keeps_its_faces():
     before = labelled_box(4)
     after = remesh(before, scale=0.7, boundary="fixed")

@@ -101,6 +101,9 @@ def _expect_known(file: File, nodes: Nodes, change: Change) -> None:
     if paired and (change.number[np.concatenate(paired)] < 0).any():
         msg = "nodes went that correspond to others"
         raise NotRewritable(msg)
+    if len(before.gmsh_periodic or ()) > len(after.gmsh_periodic or ()):
+        msg = "periodic links were left out"
+        raise NotRewritable(msg)
     if not np.array_equal(nodes.points, before.points):
         msg = "its nodes are in another order than were read"
         raise NotRewritable(msg)

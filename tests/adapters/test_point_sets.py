@@ -1,0 +1,163 @@
+"""Sets of points where vertices come: those of curved surfaces and of volumes have no holes, and
+indices have a type that holds them.
+"""
+
+from __future__ import annotations
+
+import boxes
+import meshio
+import numpy as np
+import pytest
+
+from odt_plugins import optimize, remesh, untangle
+from odt_plugins.errors import DataNotKeptWarning, InvalidMeshError
+from odt_plugins.generate import uniform_refine
+
+
+def walls(cells):
+    """Facets of one cell alone."""
+    rows = np.sort(np.concatenate([np.delete(cells, i, axis=1)
+                                   for i in range(cells.shape[1])]), axis=1)
+    rows, count = np.unique(rows, axis=0, return_counts=True)
+    return rows[count == 1]
+
+
+def ball(dim, n):
+    """A ball or disk of two regions, the inner one of half the radius."""
+    points, cells = boxes.box(dim, n)
+    points = 2 * points - 1
+    inner = np.abs(points[cells].mean(axis=1)).max(axis=1) < 0.5
+    far, norm = np.abs(points).max(axis=1), np.linalg.norm(points, axis=1)
+    points = points * (far / np.maximum(norm, 1e-300))[:, None]
+    points, cells = untangle((points, cells))
+    return points, cells, inner
+
+
+def named(cells, inner):
+    """What each of the sets is to have."""
+    return {"inner": np.unique(cells[inner]), "outer": np.unique(cells[~inner]),
+            "skin": np.unique(walls(cells)),
+            "interface": np.intersect1d(cells[inner], cells[~inner])}
+
+
+@pytest.mark.parametrize(("dim", "n"), [(2, 12), (3, 8)])
+def test_sets_of_curved_surfaces_and_of_volumes_have_the_new_vertices(dim, n):
+    points, cells, inner = ball(dim, n)
+    before = named(cells, inner)
+    mesh = meshio.Mesh(points, [("triangle" if dim == 2 else "tetra", cells)],
+                       cell_data={"material": [inner.astype(int)]}, point_sets=before)
+    after = remesh(mesh, scale=0.6)
+    wanted = named(after.cells[0].data, after.cell_data["material"][0] == 1)
+    for name, members in wanted.items():
+        assert len(members) > len(before[name])
+        np.testing.assert_array_equal(np.sort(after.point_sets[name]), members, err_msg=name)
+
+
+def test_the_skin_of_a_coarse_box_is_no_volume_and_stays():
+    points, cells = boxes.box(3, 5)
+    skin, right = np.unique(walls(cells)), points[cells].mean(axis=1)[:, 0] > 0.5
+    mesh = meshio.Mesh(points, [("tetra", cells)], point_sets={"skin": skin},
+                       cell_data={"material": [right.astype(int)]})
+    after = remesh(mesh, scale=0.6, free="periodic")
+    now = np.unique(walls(after.cells[0].data))
+    assert len(now) > len(skin)
+    assert not len(np.setdiff1d(now, after.point_sets["skin"]))
+    there = {tuple(row) for row in after.points.tolist()}
+    assert all(tuple(row) in there for row in points[skin].tolist())
+
+
+@pytest.mark.parametrize("kind", ["i1", "u1"])
+def test_blocks_and_sets_of_narrow_indices_hold_more_vertices(kind):
+    points, cells = boxes.box(3, 3)
+    floor = walls(cells)
+    floor = floor[(points[floor][:, :, 2] == 0).all(axis=1)]
+    mesh = meshio.Mesh(
+        points, [("tetra", cells.astype(kind)), ("triangle", floor.astype(kind))],
+        point_sets={"all": np.arange(len(points)).astype(kind)},
+        cell_sets={"every": [np.arange(len(cells)).astype("u1"), None]})
+    out = remesh(mesh, scale=0.5, free="periodic")
+    n, rows = len(out.points), out.cells[0].data
+    assert n > 256
+    np.testing.assert_array_equal(np.unique(rows), np.arange(n))
+    x = out.points[rows]
+    assert np.abs(np.linalg.det(x[:, 1:] - x[:, :1])).sum() == pytest.approx(6)
+    assert (out.points[out.cells[1].data][:, :, 2] < 1e-6).all()
+    np.testing.assert_array_equal(np.sort(out.point_sets["all"]), np.arange(n))
+    np.testing.assert_array_equal(out.cell_sets["every"][0], np.arange(len(rows)))
+
+
+@pytest.mark.parametrize("kind", ["i2", ">i2", "u2", "i4", "u8"])
+def test_a_type_that_holds_all_indices_stays(kind):
+    points, cells = boxes.box(3, 3)
+    points, rows = remesh((points, cells.astype(kind)), scale=0.5, free="periodic")
+    assert 256 < len(points) < 400
+    assert rows.max() == len(points) - 1
+    assert np.dtype(rows.dtype).itemsize == np.dtype(kind).itemsize
+    assert rows.dtype.kind == np.dtype(kind).kind
+
+
+def test_masks_of_points_are_sets_of_quadratic_and_of_refined_meshes():
+    points, cells = boxes.box(3, 2)
+    corner = points[:, 0] < 0.6
+    mesh = meshio.Mesh(points, [("tetra", cells)], point_sets={"left": corner})
+    fine = uniform_refine(mesh)
+    np.testing.assert_array_equal(np.sort(fine.point_sets["left"]), np.sort(uniform_refine(
+        meshio.Mesh(points, [("tetra", cells)], point_sets={"left": np.flatnonzero(corner)})
+    ).point_sets["left"]))
+
+    nodes, rows = boxes.quadratic(*boxes.box(3, 3))
+    skin = ((nodes == 0) | (nodes == 1)).any(axis=1)
+    out = optimize(meshio.Mesh(nodes, [("tetra10", rows)], point_sets={"skin": skin}))
+    here = out.points[out.point_sets["skin"]]
+    assert len(here) == skin.sum()
+    assert ((here == 0) | (here == 1)).any(axis=1).all()
+
+
+@pytest.mark.parametrize("run", [
+    lambda mesh: remesh(mesh, scale=2), lambda mesh: remesh(mesh, scale=0.6),
+    lambda mesh: optimize(mesh, insert=True), optimize])
+def test_periodic_links_name_the_points_that_correspond(run):
+    points, cells = boxes.box(3, 6)
+    low, high = (np.flatnonzero(points[:, 0] == x) for x in (0, 1))
+    pairs = np.stack([low, high], axis=1).astype(np.int32)
+    mesh = meshio.Mesh(points, [("tetra", cells)],
+                       gmsh_periodic=[[2, (2, 1), None, pairs]])
+    mesh.identified = low
+    out = run(mesh)
+    (dim, tags, affine, now), = out.gmsh_periodic
+    assert (dim, tags, affine) == (2, (2, 1), None)
+    assert now.dtype == np.int32
+    np.testing.assert_array_equal(out.points[now], points[pairs])
+    np.testing.assert_array_equal(out.points[out.identified], points[low])
+    np.testing.assert_array_equal(mesh.gmsh_periodic[0][3], pairs)
+
+
+def test_links_whose_points_went_are_told():
+    points, cells = boxes.box(3, 6)
+    pairs = np.stack([np.flatnonzero(points[:, 0] == x) for x in (0, 1)], axis=1)
+    mesh = meshio.Mesh(points, [("tetra", cells)], gmsh_periodic=[[2, (2, 1), None, pairs]])
+    with pytest.warns(DataNotKeptWarning, match="1 periodic link whose points"):
+        out = remesh(mesh, scale=2, free="periodic")
+    assert out.gmsh_periodic is None
+
+
+def test_blocks_of_several_types_are_of_whole_numbers_beside_sets():
+    points, cells = boxes.box(3, 4)
+    right = points[cells].mean(axis=1)[:, 0] > 0.5
+    top = points[:, 2] == 1
+    mesh = meshio.Mesh(
+        points, [("tetra", cells[right].astype(np.uint64)), ("tetra", cells[~right]),
+                 ("vertex", np.array([[0]], dtype=np.uint64))], point_sets={"top": top})
+    out = remesh(mesh, scale=0.7, free="periodic")
+    assert [block.data.dtype for block in out.cells] == [np.uint64, cells.dtype, np.uint64]
+    np.testing.assert_array_equal(out.points[out.cells[2].data[0]], points[[0]])
+    np.testing.assert_array_equal(np.sort(out.point_sets["top"]),
+                                  np.flatnonzero(np.abs(out.points[:, 2] - 1) < 1e-3))
+
+
+def test_indices_out_of_range_are_named_beside_sets():
+    points, cells = boxes.box(3, 3)
+    cells[5, 2] = len(points)
+    mesh = meshio.Mesh(points, [("tetra", cells)], point_sets={"low": np.arange(5)})
+    with pytest.raises(InvalidMeshError, match="first: cell 5"):
+        optimize(mesh)
