@@ -301,7 +301,8 @@ def _checked(
             surface.fixed[host.geometry.on_curves] = True
         if keep_seams:
             surface = hold_charts(surface, host.blocks)
-        surface, notes = hold_places(surface, host, periodic="periodic" not in options.free)
+        surface, notes = hold_places(
+            surface, host, periodic="periodic" not in options.free, resized=resized)
         return Prepared(adapter, host, None, surface, 1, notes=notes + notes_on_sets(host.kept))
     tangled = False
     try:
@@ -320,7 +321,8 @@ def _checked(
                                  advise=not {"free", "free='inside'"} & {*wanted.refused},
                                  resized=resized)
     if options.boundary == "slide":
-        simplices, more = hold_places(simplices, host, periodic="periodic" not in options.free)
+        simplices, more = hold_places(
+            simplices, host, periodic="periodic" not in options.free, resized=resized)
         notes += more
     notes += notes_on_sets(host.kept)
     work = Prepared(adapter, host, frame, simplices, orientation, notes=notes)

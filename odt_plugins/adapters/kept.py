@@ -375,7 +375,7 @@ def notes_on_sets(kept: tuple[KeptCells, ...]) -> tuple[str, ...]:
 
 
 def hold_places(
-    mesh: SimplexMesh, host: HostMesh, *, periodic: bool
+    mesh: SimplexMesh, host: HostMesh, *, periodic: bool, resized: bool
 ) -> tuple[SimplexMesh, tuple[str, ...]]:
     """Hold what may not move each by itself, and say of what and why.
 
@@ -384,6 +384,7 @@ def hold_places(
     mesh : SimplexMesh     a curved surface, or tetrahedra whose boundary slides
     host : HostMesh        that it comes from
     periodic : bool        whether faces that correspond to each other are held
+    resized : bool         whether those of grids, which do so by chance, are not
 
     Returns
     -------
@@ -403,7 +404,7 @@ def hold_places(
                      f"takes no parameters of points there")
     disagree = mesh.is_surface and mesh.frozen.any()
     if periodic:
-        mesh, count = _hold_periodic(mesh, host.coupled)
+        mesh, count = _hold_periodic(mesh, host.coupled, grids=not resized)
         if count:
             notes.append(f"{counted(count, 'vertex', 'vertices')} of periodic faces stay, so that "
                          f"the faces still correspond; try free='periodic' to let them slide")
@@ -428,7 +429,7 @@ def _places(mesh: SimplexMesh, edges: IntArray) -> str:
 
 
 def _hold_periodic(
-    mesh: SimplexMesh, coupled: NDArray[Any] | None
+    mesh: SimplexMesh, coupled: NDArray[Any] | None, *, grids: bool
 ) -> tuple[SimplexMesh, int]:
     """Hold faces that correspond to each other, and say how many vertices they have."""
     held, used = np.zeros((2, len(mesh.points)), dtype=np.bool_)
@@ -441,7 +442,7 @@ def _hold_periodic(
     facets = mesh.uneven.open
     same = [facets[held[facets].all(axis=1)]]
     if facets.shape[1] == 3:
-        same.append(periodic_triangles(mesh.points, facets))
+        same.append(periodic_triangles(mesh.points, facets, grids=grids))
     facets = np.concatenate(same)
     held[facets] = True
     mesh = freeze(mesh, mesh.frozen, np.flatnonzero(held))

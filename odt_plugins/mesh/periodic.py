@@ -17,7 +17,9 @@ STEPS = 1000
 """Normals count as alike where so many times their coordinates round to the same numbers."""
 
 
-def periodic_triangles(points: FloatArray, triangles: NDArray[np.int64]) -> NDArray[np.int64]:
+def periodic_triangles(
+    points: FloatArray, triangles: NDArray[np.int64], *, grids: bool = True
+) -> NDArray[np.int64]:
     """Find the triangles of opposite faces of a mesh that match under one translation.
 
     A face are all triangles of the boundary in a plane that has the whole mesh on one side. Two
@@ -28,6 +30,7 @@ def periodic_triangles(points: FloatArray, triangles: NDArray[np.int64]) -> NDAr
     ----------
     points : (n, 3) float64
     triangles : (t, 3) int64    of the boundary
+    grids : bool                whether faces count all of whose triangles are congruent
 
     Returns
     -------
@@ -44,9 +47,17 @@ def periodic_triangles(points: FloatArray, triangles: NDArray[np.int64]) -> NDAr
         height = x[:, 0] * normal[0] + x[:, 1] * normal[1] + x[:, 2] * normal[2]
         low, high = ((np.abs(height - end) <= close)[rows].all(axis=1)
                      for end in (height.min(), height.max()))
-        if _match(x, rows[low], rows[high], close):
+        if _match(x, rows[low], rows[high], close) and (
+                grids or not _congruent(x, rows[low], close)):
             found |= low | high
     return triangles[found]
+
+
+def _congruent(x: FloatArray, rows: NDArray[np.int64], close: float) -> bool:
+    """Whether all of some triangles have edges of the same three lengths."""
+    sides = x[rows] - x[rows[:, [1, 2, 0]]]
+    lengths = np.sort(np.sqrt((sides * sides).sum(axis=2)), axis=1)
+    return bool((np.ptp(lengths, axis=0) <= 2.0 * close).all())
 
 
 def _directions(x: FloatArray, rows: NDArray[np.int64]) -> FloatArray:

@@ -9,6 +9,7 @@ import meshio
 import numpy as np
 import pytest
 import trimesh
+from boxes import box as regular
 
 import odt_plugins
 from odt_plugins.errors import InvalidMeshError
@@ -165,6 +166,23 @@ def test_opposite_faces_that_match_in_any_mesh_still_do_when_the_surface_slides(
     free, rows = odt_plugins.optimize(
         (points @ turn.T, cells), boundary="slide", free="periodic", keep=())
     assert (free != points @ turn.T).any(axis=1).sum() > 64
+
+
+def test_grids_correspond_by_chance_where_they_get_other_sizes():
+    points, cells = regular(3, 4)
+    walls = uneven_facets(cells, len(points)).open
+    assert len(periodic_triangles(points, walls)) == 6 * 32
+    assert not len(periodic_triangles(points, walls, grids=False))
+    out, report = odt_plugins.remesh_with_report((points, cells), scale=2)
+    assert "periodic" not in str(report)
+    sides = uneven_facets(out[1], len(out[0])).open
+    assert len(sides) < 0.6 * len(walls)
+    graded = points**1.3
+    held = periodic_triangles(graded, walls, grids=False)
+    assert len(held) == 6 * 32
+    out, report = odt_plugins.remesh_with_report((graded, cells), scale=2)
+    assert "of periodic faces stay" in str(report)
+    assert {p.tobytes() for p in graded[np.unique(held)]} <= {p.tobytes() for p in out[0]}
 
 
 def test_faces_that_hardly_match_slide():
