@@ -30,14 +30,38 @@ the rest."""
 MOST = 1.2
 """Multiple of the chords that the envelope allows up to which sizes of surfaces are kept."""
 
+THIN = 2.0
+"""Multiple of the altitudes of triangles up to which their edges are lengths of the input."""
+
 LONGEST = 0.1
 """Largest size, as a part of the diagonal, where nothing is curved."""
 
 
 def curvature_sizes(mesh: SimplexMesh, envelope: float, angle: float) -> FloatArray:
-    """Sizes (n,) as long as an envelope allows, see :func:`chords`, and LONGEST at most."""
+    """Sizes (n,) as long as an envelope allows, see :func:`chords`, and LONGEST at most.
+
+    None is smaller than those of the input, which are THIN times the altitudes of its triangles at
+    most: needles of CAD have no long edges.
+    """
     longest = LONGEST * diagonal(mesh.points[np.unique(mesh.cells)])
-    return np.maximum(np.minimum(chords(mesh, envelope, angle), longest), local_sizes(mesh))
+    own = local_sizes(mesh)
+    if mesh.is_surface:
+        own = np.minimum(own, THIN * _altitudes(mesh))
+    return np.maximum(np.minimum(chords(mesh, envelope, angle), longest), own)
+
+
+def _altitudes(mesh: SimplexMesh) -> FloatArray:
+    """Mean least altitude (n,) of the triangles around every vertex, inf where there are none."""
+    x = mesh.points[mesh.cells]
+    sides = x - x[:, [1, 2, 0]]
+    squares = (sides * sides).sum(axis=2)
+    along = (sides[:, 0] * sides[:, 1]).sum(axis=1)
+    double = np.sqrt(np.maximum(squares[:, 0] * squares[:, 1] - along * along, 0.0))
+    least = double / np.sqrt(squares.max(axis=1))
+    n = len(mesh.points)
+    total = np.bincount(mesh.cells.ravel(), np.repeat(least, 3), n)
+    count = np.bincount(mesh.cells.ravel(), minlength=n)
+    return np.divide(total, count, out=np.full(n, np.inf), where=count > 0)
 
 
 def within_chords(mesh: SimplexMesh, sizes: Sizes, envelope: float, angle: float) -> Sizes:

@@ -81,6 +81,22 @@ def test_where_neighbours_disagree_about_the_outside_the_rest_has_its_sizes():
         curvature_sizes(surface_mesh(points, cells), 0.02, 40.0)[away], rel=1e-2)
 
 
+def test_needles_of_a_cylinder_become_good_triangles_by_the_curvature():
+    around = 2 * np.pi * np.arange(64) / 64
+    ring = np.c_[np.cos(around), np.sin(around)]
+    points = np.concatenate([np.c_[ring, np.zeros(64)], np.c_[ring, np.full(64, 3.0)]])
+    i, j = np.arange(64), np.roll(np.arange(64), -1)
+    cells = np.concatenate([np.c_[i, j, 64 + j], np.c_[i, 64 + j, 64 + i]])
+    (points, cells), report = odt_plugins.remesh_with_report(
+        (points, cells), "curvature", envelope=1e-3)
+    assert report.before.mean_quality < 0.1
+    assert report.after.min_quality > 0.7
+    assert report.after.mean_quality > 0.9
+    edges = np.linalg.norm(points[cells] - points[np.roll(cells, 1, axis=1)], axis=2)
+    bound = 1e-3 * np.sqrt(4 + 4 + 9)
+    assert chord(bound, 1) < np.median(edges) < 2 * 2 * np.sin(np.pi / 64)
+
+
 def test_edges_by_the_curvature_are_as_long_as_asked_for():
     points, cells = odt_plugins.remesh(sphere(4), "curvature", envelope=0.01)
     ends = points[np.unique(np.sort(cells[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)), axis=0)]
