@@ -63,7 +63,7 @@ def with_added(
     on[walls_of(result.cells, of_cells, len(result.points), shape)] = True
     points, own = result.points.astype(np.float64), np.flatnonzero(on[placed])
     before = host.points.astype(np.float64)
-    slack = SLACK * _shortest(points, np.asarray(result.cells)[:, :corners])[placed[own]]
+    slack = SLACK * _shortest(points, np.asarray(result.cells))[placed[own]]
     away_from = [_nearest(points[placed[own]], near[own], before, facets[:, : corners - 1])
                  for facets in (walls, sheet)]
     joins[own] |= away_from[1] < away_from[0] + slack
@@ -170,7 +170,7 @@ def _distances(
 def _shortest(
     points: NDArray[np.float64], cells: NDArray[np.integer]
 ) -> NDArray[np.float64]:
-    """Length (n,) of the shortest edge at every point."""
+    """Length (n,) of the shortest line to another point of its cells, at every point."""
     out = np.full(len(points), np.inf)
     for i, j in combinations(range(cells.shape[1]), 2):
         along = points[cells[:, i]] - points[cells[:, j]]

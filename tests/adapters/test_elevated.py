@@ -191,6 +191,16 @@ def test_vertices_are_inserted_among_quadratic_cells(fields):
     assert exact == (fields == "auto")
 
 
+@pytest.mark.parametrize("scale", [0.6, 1.8])
+def test_the_set_of_a_side_has_all_nodes_there_and_none_of_the_sides_next_to_it(scale):
+    x, nodes, *_ = solid()
+    mesh = meshio.Mesh(x, [("tetra10", nodes)], point_sets={"left": np.flatnonzero(x[:, 0] == 0)})
+    out = remesh(mesh, scale=scale, free=("periodic",))
+    assert len(out.points) != len(x)
+    there = np.flatnonzero(out.points[:, 0] == 0)
+    assert np.array_equal(np.sort(out.point_sets["left"]), there)
+
+
 def test_triangles_of_second_order_in_the_plane():
     points, cells = box(2, 6)
     edges, place = np.unique(np.sort(cells[:, THREE], axis=2).reshape(-1, 2), axis=0,
