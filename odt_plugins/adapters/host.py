@@ -340,6 +340,19 @@ class Result(NamedTuple):
         return values[self.source]
 
 
+def faces_now(
+    result: Result, host: HostMesh, ids: NDArray[np.int64], rows: NDArray[Any]
+) -> NewFaces:
+    """What some cells (q, r) at ascending places (q,) among all have become, in any kept cells."""
+    parts = [(k, kept.ids - ids[0]) for k, kept in enumerate(host.kept)
+             if kept.ids is not None and np.isin(kept.ids[:1], ids).any()]
+    now = [(result.faces_of(k, rows[own]), own) for k, own in parts] or [
+        (result._replace(faces=()).faces_of(0, rows), np.arange(len(rows)))]
+    source = np.concatenate([own[faces.source] for faces, own in now])
+    order = np.argsort(source, kind="stable")
+    return NewFaces(np.concatenate([faces.rows for faces, _ in now])[order], source[order])
+
+
 class Adapter(Protocol):
     """The three functions of an adapter module."""
 

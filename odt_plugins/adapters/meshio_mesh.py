@@ -41,6 +41,8 @@ from odt_plugins.adapters.host import (
     Result,
     as_indices,
     classes_of,
+    each_once,
+    faces_now,
     is_instance,
 )
 from odt_plugins.adapters.normals import renewed
@@ -129,7 +131,7 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
               for name, values in mesh.cell_data.items()}
     sets = _memberships(mesh, chosen, size)
     order = 1 if shape is None else int(shape[0, 0])
-    kept = tuple(_kept(mesh, i, order) for i in _others(mesh, chosen))
+    kept = tuple(part for i in _others(mesh, chosen) for part in _kept(mesh, i, order))
     if REQUIRED in mesh.point_sets:
         kept = (*kept, KeptCells("required vertex",
                                  np.asarray(mesh.point_sets[REQUIRED]).reshape(-1, 1)))
@@ -346,7 +348,8 @@ def _renumber(
     for i, block in enumerate(out.cells):
         if i in others:
             size = len(block.data)
-            now = result.faces_of(others.index(i), np.asarray(block.data))
+            first = sum(len(other.data) for other in host.source.cells[:i])
+            now = faces_now(result, host, first + np.arange(size), np.asarray(block.data))
             block.data = as_indices(now.rows, block.data)
             if not np.array_equal(now.source, np.arange(size)):
                 _take(out, i, now.source, size)
@@ -454,13 +457,13 @@ def _others(mesh: Any, chosen: Container[int]) -> list[int]:
             if i not in chosen and block.type != "vertex" and len(block.data)]
 
 
-def _kept(mesh: Any, i: int, order: int) -> KeptCells:
-    """A block that is not optimised; faces of cells of some order may become others of the same
-    data and sets.
+def _kept(mesh: Any, i: int, order: int) -> list[KeptCells]:
+    """A block that is not optimised, in parts where faces are there several times; faces of cells
+    of some order may become others of the same data and sets.
     """
     kind, data = mesh.cells[i].type, np.asarray(mesh.cells[i].data)
     if kind not in FACES:
-        return KeptCells(kind, data.reshape(-1, 1))
+        return [KeptCells(kind, data.reshape(-1, 1))]
     columns = [np.asarray(values[i]) for values in mesh.cell_data.values()]
     for name, members in mesh.cell_sets.items():
         if name not in NOT_CELL_INDICES and members[i] is not None:
@@ -469,8 +472,11 @@ def _kept(mesh: Any, i: int, order: int) -> KeptCells:
     classes, labels = classes_of(columns, len(data))
     if HIGHER.get(kind, (0, 1))[1] != order or kind in LAGRANGE:
         classes = None
-    first = sum(len(block.data) for block in mesh.cells[:i])
-    return KeptCells(kind, data[:, : FACES[kind]], classes, labels, first + np.arange(len(data)))
+    ids = sum(len(block.data) for block in mesh.cells[:i]) + np.arange(len(data))
+    rows = data[:, : FACES[kind]]
+    if classes is None:
+        return [KeptCells(kind, rows, classes, labels, ids)]
+    return [part._replace(ids=ids[own]) for part, own in each_once(kind, rows, classes)]
 
 
 def _members(members: NDArray[Any], local: NDArray[np.int32], size: int) -> NDArray[Any]:

@@ -29,6 +29,7 @@ from odt_plugins.adapters.formats.decks import (
     ORDERS,
     REMARKS,
     joint_labels,
+    load_labels,
     unread,
 )
 
@@ -69,7 +70,7 @@ def read(path: Path) -> Any:
     sizes = [len(rows) for _, rows in cells]
     label = _labels(deck, sets, sizes)
     for i, own in enumerate(merged.values(), len(deck.blocks)):
-        label[i] = _loads(deck, own)
+        label[i] = _loads(deck, own, np.asarray(cells[i][1]), label)
     data: Any = {LABEL: label} if any(numbers.any() for numbers in label) else {}
     mesh = Mesh(deck.points, cells, cell_data=data, cell_sets=whole, point_sets=point_sets(deck))
     setattr(mesh, HELD, deck.held)
@@ -112,12 +113,14 @@ def _labels(
     return out
 
 
-def _loads(deck: Deck, own: list[int]) -> NDArray[np.int64]:
-    """Numbers from 0 on of the loads on the faces of some sides, equal where they say the same."""
+def _loads(
+    deck: Deck, own: list[int], rows: NDArray[np.int64], label: list[NDArray[np.int64]]
+) -> NDArray[np.int64]:
+    """Numbers from 0 on of the loads on the faces (k, r) of some sides."""
+    sides = [deck.sides[k] for k in own]
     told = [(re.sub(r"\d", "", words[1].upper()), *words[2:])
-            for words in (words_of(deck.texts[deck.sides[k].line]) for k in own)]
-    known = {load: i for i, load in enumerate(dict.fromkeys(told))}
-    return np.repeat([known[load] for load in told], [len(deck.sides[k].rows) for k in own])
+            for side in sides for words in [words_of(deck.texts[side.line])] for _ in side.rows]
+    return load_labels(told, rows, np.concatenate([label[side.block][side.rows] for side in sides]))
 
 
 def titles(deck: Deck, word: str) -> dict[str, tuple[str, str]]:

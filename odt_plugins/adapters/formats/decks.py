@@ -306,6 +306,26 @@ def faces_of(change: Change, kinds: Sequence[str], block: int) -> list[tuple[int
     return [found for found in out if found]
 
 
+def load_labels(
+    told: Sequence[Any], rows: NDArray[np.int64], regions: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    """Numbers (k,) from 0 on of loads on faces, equal where they say the same.
+
+    Where some are on both sides of a face, or twice on one, those of other regions are others.
+
+    Parameters
+    ----------
+    told : what each of the loads says
+    rows : (k, r) int       corners of the faces
+    regions : (k,) int      labels of the cells that have them
+    """
+    known = {load: i for i, load in enumerate(dict.fromkeys(told))}
+    label = np.array([known[load] for load in told], dtype=np.int64)
+    if len(np.unique(np.sort(rows, axis=1), axis=0)) == len(rows):
+        return label
+    return np.unique(np.stack([label, regions], axis=1), axis=0, return_inverse=True)[1].ravel()
+
+
 def _turned(row: list[int]) -> tuple[int, ...]:
     """Corners of a face, the smallest first, in the same sense."""
     k = row.index(min(row)) if len(row) > 2 else 0

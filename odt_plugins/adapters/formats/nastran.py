@@ -21,6 +21,7 @@ from odt_plugins.adapters.formats.decks import (
     REMARKS,
     fits,
     joint_labels,
+    load_labels,
     order_of,
     unread,
 )
@@ -185,12 +186,16 @@ def read(path: Path) -> Any:
     deck = parsed(path)
     cells: list[Any] = [(block.kind, block.rows) for block in deck.blocks]
     labels: list[Any] = [np.array(block.labels, dtype=np.int64) for block in deck.blocks]
+    region = {i: label for block in deck.blocks if deck.sides and block.kind[:5] == "tetra"
+              for i, label in zip(block.ids, block.labels, strict=True)}
     for (_, _, kind), own in side_blocks(deck).items():
         told = [tuple(deck.sides[k][0].words[slice(1, 2) if name == "PLOAD" else slice(2, 6)])
                 for k in own for name in [deck.sides[k][0].name]]
-        known = {load: i for i, load in enumerate(dict.fromkeys(told))}
-        cells.append((kind, np.array([deck.sides[k][1] for k in own], dtype=np.int64)))
-        labels.append(np.array([known[load] for load in told], dtype=np.int64))
+        rows = np.array([deck.sides[k][1] for k in own], dtype=np.int64)
+        cards = [deck.sides[k][0] for k in own]
+        regions = np.array([0 if c.name == "PLOAD" else region[c.number(1)] for c in cards])
+        cells.append((kind, rows))
+        labels.append(load_labels(told, rows, regions))
     sets: Any = deck.sets
     numbers = [block.ids for block in deck.blocks] + [[]] * (len(cells) - len(deck.blocks))
     members: Any = {title: [np.array([k for k, i in enumerate(ids) if i in own], dtype=np.int64)
