@@ -136,7 +136,7 @@ def titles(deck: Deck, word: str) -> dict[str, tuple[str, str]]:
 
 
 def faces_only(deck: Deck) -> set[tuple[str, str]]:
-    """Sets of elements that nothing refers to but lines with a face."""
+    """Sets of elements, by numbers, that nothing refers to but lines with a face in their part."""
     used = {(deck.sections[side.section].part, words_of(deck.texts[side.line])[0].upper())
             for side in deck.sides}
     for section in deck.sections:
@@ -147,11 +147,13 @@ def faces_only(deck: Deck) -> set[tuple[str, str]]:
             values.discard(section.params.get("ELSET", "").upper())
         for i in () if section.name == "ELEMENT" else section.lines:
             words = words_of(deck.texts[i])
-            if face_of(section, words) is None:
+            if section.name == "ELSET" and not all(w.isdigit() for w in words if w):
+                used.discard((section.part, section.params["ELSET"].upper()))
+            if face_of(section, words) is None or "." in words[0]:
                 values |= {word.upper() for word in words if word[:1].isalpha() or "_" in word}
         for value in values:
             used -= {key for key in used if value.rpartition(".")[2] == key[1]}
-    return {key for key in used if not key[1].isdigit()}
+    return used & {*titles(deck, "ELSET").values()}
 
 
 def cell_sets(deck: Deck) -> dict[str, dict[int, set[int]]]:

@@ -221,7 +221,9 @@ def _kinds(deck: Deck) -> list[list[int]]:
 
 def _largest(deck: Deck) -> dict[str, int]:
     """Largest number of an element of every part."""
-    out = {block.part: max(block.ids) for block in deck.blocks}
+    out: dict[str, int] = {}
+    for block in deck.blocks:
+        out[block.part] = max(out.get(block.part, 0), max(block.ids))
     for section in deck.sections:
         if section.name == "ELEMENT" and section.part in out:
             for i in section.lines:
@@ -256,12 +258,12 @@ def _faces(
         pairs += [(name, face) for name in sorted(others)]
         own = {name for name, at in pairs if at == face}
         before = _prefixes(deck, part, word)
-        if key in hidden and {*uses[key]} == {face} and own:
+        if key in hidden and {*uses[key]} == {face}:
             sets[key] = own
             pairs = [pair for pair in pairs if pair[1] != face]
-            if pairs:
+            if pairs or not own:
                 edits.append(_line_edit(deck, i, _lines_of(
-                    deck.texts[i], None, pairs, before)))
+                    deck.texts[i], None if own else [], pairs, before)))
             continue
         if {(name, face) for name in _after(deck, names, part, word)} != set(pairs):
             edits.append(_line_edit(deck, i, _lines_of(deck.texts[i], pairs, [], before)))
@@ -320,8 +322,10 @@ def _prefixes(deck: Deck, part: str, word: str) -> dict[str, bytes]:
 
 def _after(deck: Deck, names: Names, part: str, word: str) -> set[Name]:
     """Names of the elements of a set afterwards, or of one that is told by its number."""
-    if word.isdigit():
-        return {(part, int(word))}
+    instance, _, last = word.upper().rpartition(".")
+    if last.isdigit():
+        alias = resolved(deck.sections) if instance else {}
+        return {(alias.get(instance, "") or instance or part, int(last))}
     out: set[Name] = set()
     for b, r in members(deck, part, word):
         out |= {(deck.blocks[b].part, names.of[b][i]) for i in names.slots[b][r]}
@@ -365,6 +369,8 @@ def _set(
         own |= set(generated(words)) if "GENERATE" in section.params else {
             int(word) for word in words if word.isdigit()}
     key = (section.part, section.params.get("ELSET", "").upper())
+    if not hidden.get(key, True):
+        return [_line_edit(deck, i, b"") for i in [*_head(deck, section), *section.lines]]
     if section.name == "NSET":
         drop = {number for number in own if (home, number) in names.lost}
         title = next(t for t, k in titles(deck, "NSET").items() if k == (
@@ -408,6 +414,14 @@ def _set(
         if new is not text:
             edits.append(_line_edit(deck, i, new))
     return edits
+
+
+def _head(deck: Deck, section: Section) -> range:
+    """Lines of a keyword."""
+    first = section.head
+    while not deck.texts[first].lstrip().startswith(b"*"):
+        first -= 1
+    return range(first, section.head + 1)
 
 
 def _runs(numbers: list[int], end: bytes) -> list[bytes]:
