@@ -201,6 +201,7 @@ def run_engine(
     )
     if given.higher_order and not work.host.higher_order:
         result = elevated(result, given, locating(work, near))
+        told["nodes"] = len(result.points)
     return work.adapter.write(result, given), before, outcome, told
 
 

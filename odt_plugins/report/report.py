@@ -278,7 +278,7 @@ class Report:
 
 def make_report(
     before: SimplexMesh, outcome: Outcome, options: Options, *, tangle: Tangle | None = None,
-    refused: Sequence[str] = (), **told: Any,
+    refused: Sequence[str] = (), nodes: int | None = None, **told: Any,
 ) -> Report:
     """Measure a run from outside.
 
@@ -289,6 +289,7 @@ def make_report(
     options : Options       what it was asked for
     tangle : Tangle         what was done to a mesh with inverted or flat cells
     refused : sequence      options, some with a value, that the call does not take
+    nodes : int             points of the result, unless they are those of the outcome
     **told                  fields of the report that only the adapters know
 
     Returns
@@ -316,7 +317,8 @@ def make_report(
     if options.insert:
         counts["vertices added"] = int(added.sum())
         counts["vertices removed"] = n + int(added.sum()) - len(added)
-    after = replace(summarize(*there, new), n_points=len(outcome.points),
+    after = replace(summarize(*there, new),
+                    n_points=len(outcome.points) if nodes is None else nodes,
                     volume=float(volumes(outcome.points, outcome.cells).sum()))
     untangled = None
     if tangle is not None:

@@ -149,6 +149,8 @@ def test_the_model_of_gmsh_keeps_its_groups(scale):
 
     report = remesh_with_report(gmsh.model, scale=scale)[1]
     assert report.fallback is None
+    assert (report.before.n_points, report.after.n_points) == (
+        before, len(gmsh.model.mesh.getNodes()[0]))
     types, tags, _ = gmsh.model.mesh.getElements(3)
     assert types.tolist() == [11]
     assert gmsh.model.mesh.getElementQualities(tags[0], "minDetJac").min() > 0
