@@ -4,7 +4,8 @@ An edge is a feature on the boundary, where more than two triangles meet, betwee
 the caller marks it, or when the surface turns by more than the feature angle at it. The turn
 must show in the normals of the triangles and in those averaged with the neighbours that agree,
 which tells a crease from a bump. Of edges that merely turn, loose ends shorter than TRIM edges are
-noise; so are the long edges of a flat triangle whose neighbours there agree with each other.
+noise; so are the long edges of a flat triangle whose neighbours there agree with each other, unless
+the triangle is in the plane of a larger one.
 """
 
 from __future__ import annotations
@@ -31,6 +32,9 @@ TRIM = 5
 
 FLAT_QUALITY = 0.1
 """Radius ratio below which the normal of a triangle is not trusted against its neighbours."""
+
+IN_PLANE = math.cos(math.radians(1.0))
+"""Cosine between the normals of two triangles from which on they are in one plane."""
 
 SHORT = 0.2
 """The shortest edge of a flat triangle counts when it is longer than this part of the longest."""
@@ -143,7 +147,7 @@ def sharp_edges(
     turns &= _cosines(_unit(mean), edges) < least
     sharp = np.zeros(len(edges.degree), dtype=np.bool_)
     sharp[edges.of_cell[turns]] = True
-    flat = np.flatnonzero(quality < FLAT_QUALITY)
+    flat = np.flatnonzero((quality < FLAT_QUALITY) & ~_in_plane(area, normal, edges))
     if flat.size:
         _settle_flat(sharp, flat, normal, quality, lengths, edges, least)
     return sharp
@@ -176,6 +180,13 @@ def _cosines(normal: FloatArray, edges: Edges) -> FloatArray:
         inner = near >= 0
         cosine[inner, i] = (normal[inner] * normal[near[inner]]).sum(axis=1)
     return cosine
+
+
+def _in_plane(area: FloatArray, normal: FloatArray, edges: Edges) -> BoolArray:
+    """Triangles (m,) in the plane of a larger neighbour, as ears of the caps of CAD."""
+    size = (area * area).sum(axis=1)
+    larger = (edges.neighbors >= 0) & (size[edges.neighbors] > size[:, None])
+    return np.asarray((larger & (_cosines(normal, edges) >= IN_PLANE)).any(axis=1))
 
 
 def _settle_flat(

@@ -35,6 +35,10 @@ FOLD = -0.45
 """Cosine of the largest turn at an edge that is made; the judge allows 120 degrees."""
 
 
+TURNED = 1e-6
+"""Part by which the cosine of a turn towards the ground may fall where it is small already: that of
+coordinates with seven digits."""
+
 THINNEST = 1e-8
 """Least altitude of a triangle that is divided, as a part of its longest edge. Triangles that
 are regular in an allowed metric have more."""
@@ -258,7 +262,7 @@ def fits(net: Net, rules: Rules, room: Room, centre: int, old: int, new: int) ->
         if least <= -1.0:
             break
         turn = facing(net.points, foot, t[s, 0], t[s, 1], t[s, 2], ground)
-        least = min(least, turn)
+        least = min(least, turn - TURNED)
     for i in range(new):
         for k in range(3):
             if exchange.new[i, k] == centre and room.marks[i, (k + 2) % 3] < 0:

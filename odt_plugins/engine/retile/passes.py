@@ -8,7 +8,9 @@ import numpy as np
 
 from odt_plugins.engine.cells.extremes import Extremes
 from odt_plugins.engine.ground.build import ground_values, resample_metric
-from odt_plugins.engine.retile.collapse import collapse_edges
+from odt_plugins.engine.ground.sheet import SMOOTH
+from odt_plugins.engine.record.figures import cell_shapes
+from odt_plugins.engine.retile.collapse import THIN, collapse_edges
 from odt_plugins.engine.retile.flip import swap_edges
 from odt_plugins.engine.retile.grading import spread
 from odt_plugins.engine.retile.net import (
@@ -27,6 +29,12 @@ from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 LONGEST, SHORTEST = 4.0 / 3.0, 4.0 / 5.0
 """Multiples of its size at which an edge is split, and at which it collapses: halves of the one and
 doubles of the other are nearer to the size."""
+
+NEEDLES = 1e-4
+"""Radius ratio below which triangles get other edges between two passes of splits."""
+
+MENDED = 2.0
+"""Multiple of its size up to which an edge may be that comes instead of a thin triangle."""
 
 RELENT = 1.5
 """Multiple of the harmonic mean of the edges at a vertex above which its size is not kept."""
@@ -82,7 +90,10 @@ class Passes:
             self.measure(net)
 
     def split(self, net: Net, bounds: Extremes) -> Net:
-        """Split edges, the longest first, until none is too long that keeps the bounds."""
+        """Split edges, the longest first, until none is too long that keeps the bounds.
+
+        Edges of NEEDLES flip between the passes, or their halves would be ever thinner.
+        """
         rules = self.rules._replace(bounds=bounds)
         for _ in range(PASSES):
             if net.count[1] > self.most:
@@ -98,6 +109,8 @@ class Passes:
             self.measure(net)
             if not done:
                 break
+            if not self.metric.size and qualities(net)[1].min() < NEEDLES:
+                self.flip(net, 1.0)
         return net
 
     def collapse(self, net: Net) -> None:
@@ -110,6 +123,19 @@ class Passes:
             self.measure(net)
             if not done:
                 break
+
+    def mend(self, net: Net) -> None:
+        """Collapse edges of thin triangles, the shortest first, if a vertex off all lines goes."""
+        rules = self.rules._replace(shortest=np.inf, longest=MENDED)
+        for _ in range(PASSES):
+            pairs, ratio, _ = edges_of(net, self._since(net, "mend"))
+            chosen = np.flatnonzero((net.kind[pairs] == SMOOTH).any(axis=1))
+            chosen = chosen[of_thin(net, pairs[chosen])]
+            chosen = chosen[np.argsort(ratio[chosen], kind="stable")]
+            if not len(chosen) or not collapse_edges(net, rules, pairs[chosen], self.room):
+                break
+            self.measure(net)
+            self.follow(net)
 
     def flip(self, net: Net, power: float) -> None:
         """Flip edges until few pay."""
@@ -156,6 +182,19 @@ def edges_of(net: Net, since: int) -> tuple[IntArray, FloatArray, IntArray]:
     return pairs, length, degree.astype(np.int32)
 
 
+def qualities(net: Net) -> tuple[IntArray, FloatArray]:
+    """Triangles (m, 3) without free slots, and their radius ratios (m,)."""
+    triangles = net.triangles[: net.count[1]]
+    triangles = triangles[triangles[:, 0] >= 0]
+    return triangles, cell_shapes(np.ascontiguousarray(net.points[:, :3]), triangles)[:, 0]
+
+
+def of_thin(net: Net, pairs: IntArray) -> BoolArray:
+    """Mark the edges (k, 2), sorted, of triangles whose radius ratio is below THIN."""
+    triangles, quality = qualities(net)
+    return _edges_among(net, pairs, triangles[quality < THIN])
+
+
 def at_thin(net: Net, pairs: IntArray, least: float) -> BoolArray:
     """Mark the edges (k, 2), sorted, of triangles whose altitude is below a length or THINNEST."""
     ends = np.zeros(len(net.points), dtype=np.bool_)
@@ -167,7 +206,13 @@ def at_thin(net: Net, pairs: IntArray, least: float) -> BoolArray:
     u, v = edges[:, 0], edges[:, 1]
     area = ((u[[1, 2, 0]] * v[[2, 0, 1]] - u[[2, 0, 1]] * v[[1, 2, 0]]) ** 2).sum(axis=0)
     longest = (edges**2).sum(axis=0).max(axis=0)
-    thin = np.sort(triangles[area < np.maximum(least**2, THINNEST**2 * longest) * longest], axis=1)
+    return _edges_among(
+        net, pairs, triangles[area < np.maximum(least**2, THINNEST**2 * longest) * longest])
+
+
+def _edges_among(net: Net, pairs: IntArray, triangles: IntArray) -> BoolArray:
+    """Mark the edges (k, 2), sorted, of some triangles."""
+    thin = np.sort(triangles, axis=1)
     key = [a.astype(np.int64) * len(net.points) + b
            for a, b in (thin[:, [0, 1]].T, thin[:, [0, 2]].T, thin[:, [1, 2]].T, pairs.T)]
     return np.isin(key[3], np.concatenate(key[:3]))

@@ -11,6 +11,7 @@ from odt_plugins.engine.cells.extremes import FREELY, Extremes
 from odt_plugins.engine.ground.build import make_ground, make_sheet
 from odt_plugins.engine.ground.closest import Ground
 from odt_plugins.engine.ground.features import Features, find_features
+from odt_plugins.engine.ground.feet import reaching
 from odt_plugins.engine.ground.sheet import LINE
 from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.retile.areas import heights
@@ -113,6 +114,8 @@ def resize(
         if turn == 0 and not base.metric.size:
             relent_along(net, passes, features.lines.nodes, edges.vertices)
             net = lay_in_rows(net, passes, _patches(edges, features))
+    if not base.metric.size:
+        passes.mend(net)
     for power, sweeps in FINISH:
         for _ in range(sweeps):
             passes.flip(net, power)
@@ -169,8 +172,10 @@ def _net(
     place[on] = lines.arc[lines.slot[on]]
     after[on] = lines.nodes[lines.slot[on] + 1]
     net = Net(
-        np.column_stack([sheet.points, base.metric]), sheet.foot, features.kind.copy(), place,
-        after, sizes.astype(np.float64), np.full(n, -1, dtype=np.int32), sheet.triangles,
+        np.column_stack([sheet.points, base.metric]),
+        reaching(sheet.triangles, sheet.foot, _patches(base.edges, features)),
+        features.kind.copy(), place, after, sizes.astype(np.float64),
+        np.full(n, -1, dtype=np.int32), sheet.triangles,
         marks[base.edges.of_cell],
         base.labels.copy(), np.full(3 * m, -1, dtype=np.int32), sheet.first, sheet.following,
         np.zeros(n, dtype=np.int64), np.array([n, m, 0], dtype=np.int64),

@@ -1,0 +1,68 @@
+"""Surfaces of CAD: caps cut into ears, and needles from edge to edge, become good triangles."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import odt_plugins
+from odt_plugins.engine.ground.features import find_features
+from odt_plugins.engine.ground.feet import reaching
+from odt_plugins.engine.topology.star import vertex_stars
+from odt_plugins.mesh.surface import surface_edges
+
+
+def cone(sections):
+    """A cone whose cap has no vertex inside, cut into ears one after the other."""
+    around = 2 * np.pi * np.arange(sections) / sections
+    points = np.vstack([np.c_[0.5 * np.cos(around), 0.5 * np.sin(around), np.zeros(sections)],
+                        [[0, 0, 1]]]).astype(np.float32).astype(np.float64)
+    side = [[i, (i + 1) % sections, sections] for i in range(sections)]
+    left, cap = list(range(sections)), []
+    while len(left) > 2:
+        for k in range(0, len(left) - 2, 2):
+            cap.append([left[k + 2], left[k + 1], left[k]])
+        left = [v for k, v in enumerate(left) if k % 2 == 0 or k == len(left) - 1]
+    return points, np.array(side + cap, dtype=np.int32)
+
+
+def quality(points, cells):
+    a, b, c = (np.linalg.norm(points[cells[:, i]] - points[cells[:, j]], axis=1)
+               for i, j in ((0, 1), (1, 2), (2, 0)))
+    return (b + c - a) * (c + a - b) * (a + b - c) / (a * b * c)
+
+
+@pytest.mark.parametrize(("size", "mean"), [(0.1, 0.75), (0.05, 0.9), (0.02, 0.9)])
+def test_a_cap_without_vertices_inside_gets_good_triangles(size, mean):
+    points, cells = cone(40)
+    assert quality(points, cells).min() < 0.02
+    (made, new), report = odt_plugins.remesh_with_report((points, cells), size)
+    assert report.fallback is None
+    found = quality(made, new)
+    assert found.min() > 0.3
+    assert found.mean() > mean
+    cap = new[(np.abs(made[new][:, :, 2]) < 1e-6).all(axis=1)]
+    x = made[cap]
+    area = np.linalg.norm(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), axis=1).sum() / 2
+    assert area == pytest.approx(20 * 0.25 * np.sin(2 * np.pi / 40), rel=0.02)
+    assert len(cap) > 0.5 * area / (size * size * 3**0.5 / 4)
+
+
+def test_ears_are_in_the_plane_of_their_cap_and_the_rim_is_a_crease():
+    points, cells = cone(40)
+    edges = surface_edges(cells, len(points))
+    found = find_features(points, cells, edges, vertex_stars(cells, len(points)), angle=40.0,
+                          fixed=np.zeros(len(points), dtype=np.bool_))
+    sharp = {tuple(pair) for pair in edges.vertices[found.edges].tolist()}
+    assert sharp == {tuple(sorted((i, (i + 1) % 40))) for i in range(40)}
+
+
+def test_every_triangle_has_a_foot_on_its_own_piece():
+    _, cells = cone(40)
+    patch = (np.arange(len(cells)) >= 40).astype(np.int32)
+    foot = np.append(np.arange(40), 0).astype(np.int32)
+    assert not (patch[foot[cells[40:]]] == 1).any()
+    found = reaching(cells, foot, patch)
+    assert (patch[found[cells]] == patch[:, None]).any(axis=1).all()
+    assert all(v in cells[t] for v, t in enumerate(found.tolist()))
+    assert reaching(cells, found, patch) is found
