@@ -124,10 +124,13 @@ def run_engine(
         if "layers" not in options.free and options.metric is None:
             was = () if work.tangle is None else (work.tangle.before, work.tangle.source)
             kept, layers = keep_layers(work.mesh, options.threads, *was)
-            work = work._replace(mesh=kept)
         stretched = layers > MOST * len(work.mesh.cells) or (
             "layers" in options.free and "metric" not in wanted.refused
             and looks_anisotropic(work.mesh, options.threads))
+        if layers and not (stretched and wanted.linear):
+            work = work._replace(mesh=kept)
+        elif stretched:
+            layers = 0
         if stretched and options.metric is None:
             work = work._replace(notes=(*work.notes, ADVICE))
         moves = work.mesh.is_surface or options.boundary == "slide"

@@ -265,6 +265,20 @@ def test_layers_of_a_tangled_mesh_stay_and_what_untangling_stretches_is_none() -
     assert report.layers < 1.2 * layer.sum()
 
 
+def test_where_most_cells_are_stretched_they_get_the_sizes_that_are_asked_for() -> None:
+    around = 2 * np.pi * np.arange(60) / 60
+    ring = np.stack([np.cos(around), np.sin(around)], axis=1)
+    i, j = np.arange(60), np.roll(np.arange(60), -1)
+    points = np.concatenate([ring, 0.2 * ring])
+    cells = np.concatenate([np.stack([i, j, 60 + j], 1), np.stack([i, 60 + j, 60 + i], 1)])
+    assert odt_plugins.optimize_with_report((points, cells))[1].layers == len(cells)
+    out, report = odt_plugins.remesh_with_report((points, cells), 0.1)
+    assert report.layers == 0
+    assert any("metric='input'" in note for note in report.notes)
+    assert report.after.mean_quality > 0.97 > 0.2 > report.before.mean_quality
+    assert len(out[1]) > 4 * len(cells)
+
+
 @pytest.mark.parametrize("d", [2, 3])
 def test_eigenvalues_and_logarithms_are_those_of_numpy(d: int) -> None:
     rng = np.random.default_rng(8)

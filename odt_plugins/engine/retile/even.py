@@ -9,7 +9,7 @@ import numpy as np
 from odt_plugins.engine.ground.build import ground_values
 from odt_plugins.engine.ground.sheet import LINE
 from odt_plugins.engine.retile.collapse import collapse_edges
-from odt_plugins.engine.retile.grading import spread
+from odt_plugins.engine.retile.grading import LEAST, spread
 from odt_plugins.engine.retile.net import Net, relative_lengths
 from odt_plugins.engine.retile.passes import Passes, at_thin, grown
 from odt_plugins.engine.retile.shift import slide_vertices
@@ -85,9 +85,9 @@ def relent_along(net: Net, passes: Passes, nodes: IntArray, edges: IntArray) -> 
     places = np.sort(net.place[:n][(net.kind[:n] == LINE) & (net.head[:n] >= 0)])
     sizes = passes.sizes.copy()
     for first, last, held in zip(tracks.start, tracks.stop, tracks.held, strict=True):
-        if held:
+        arc, at = tracks.arc[first : last + 1], nodes[first : last + 1]
+        if held or not arc[-1] - arc[0] > LEAST * passes.sizes[at].max():
             continue
-        arc = tracks.arc[first : last + 1]
         inside = places[np.searchsorted(places, arc[0], side="right")
                         : np.searchsorted(places, arc[-1])]
         knots = np.concatenate([arc[:1], inside, arc[-1:]])
@@ -95,8 +95,7 @@ def relent_along(net: Net, passes: Passes, nodes: IntArray, edges: IntArray) -> 
         low = np.maximum(near - NEAR, 0)
         high = np.minimum(near + NEAR - 1, len(knots) - 1)
         mean = (knots[high] - knots[low]) / (high - low)
-        at = nodes[first : last + 1]
-        sizes[at] = np.minimum(sizes[at], RELENT * mean)
+        sizes[at] = np.minimum(sizes[at], np.maximum(RELENT * mean, LEAST * passes.sizes[at]))
     if (sizes < passes.sizes).any():
         passes.sizes = spread(passes.rules.ground.points, edges, sizes)
         passes.measure(net)

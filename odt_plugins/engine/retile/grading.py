@@ -13,6 +13,9 @@ from odt_plugins.mesh.arrays import FloatArray, IntArray
 GROWTH = 0.3
 """Most by which the size changes over a length of 1."""
 
+LEAST = 1e-6
+"""Smallest part of a size that edges which stay, or are between vertices at one place, leave."""
+
 
 def spread(
     points: FloatArray, edges: IntArray, values: FloatArray, growth: float = GROWTH
@@ -65,7 +68,7 @@ def fitting(
     if (out == sizes).all():
         return out
     longer = on & (out > sizes)
-    out = spread(points, edges, np.maximum(out, 1e-6 * sizes))
+    out = spread(points, edges, np.maximum(out, LEAST * sizes))
     if longer.any():
         # the largest sizes spread down from where they are held
         top = 2.0 * max(out.max(), (total[longer] / count[longer]).max())
