@@ -307,7 +307,8 @@ def _checked(
             surface = hold_charts(surface, host.blocks)
         surface, notes = hold_places(
             surface, host, periodic="periodic" not in options.free, resized=resized)
-        return Prepared(adapter, host, None, surface, 1, notes=notes + notes_on_sets(host.kept))
+        notes += notes_on_sets(host.kept, surface.fixed)
+        return Prepared(adapter, host, None, surface, 1, notes=notes)
     tangled = False
     try:
         simplices, orientation = simplex_mesh(
@@ -328,7 +329,7 @@ def _checked(
         simplices, more = hold_places(
             simplices, host, periodic="periodic" not in options.free, resized=resized)
         notes += more
-    notes += notes_on_sets(host.kept)
+    notes += notes_on_sets(host.kept, simplices.fixed)
     work = Prepared(adapter, host, frame, simplices, orientation, notes=notes)
     return _untangled(work, options, wanted) if tangled or wanted.rest is not None else work
 

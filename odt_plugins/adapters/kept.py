@@ -60,7 +60,9 @@ def protect(
     kept : tuple of KeptCells    a line or triangle on the boundary or on an interface stays
                                  anyway; for one inside the cells around are parted into more
                                  regions, of the same body; of anything else the vertices are
-                                 fixed; facets between vertices that a file names stay with these
+                                 fixed; facets between vertices that a file names stay with these,
+                                 and where sizes change vertices of a set that are those of facets
+                                 come and go, within the border of these
     anchors : (k,) int           vertices that must not be removed; none out of range counts
     free : bool                  whether the vertices of lines and triangles inside may move
     resized : bool               whether those with classes may become others
@@ -99,6 +101,11 @@ def protect(
             rows = rows[~held]
         elif kind == NAMED_VERTEX:
             stays.append(_edges(_facets_of(mesh, rows.ravel())))
+        elif resized and kind.startswith(SET_VERTEX):
+            facets, own = _facets_of(mesh, rows.ravel()), np.intersect1d(rows, mesh.cells)
+            if 2 * len(facets) > len(own) and np.isin(own, facets).all():
+                named.append((facets, np.zeros(len(facets), dtype=np.int64)))
+                continue
         loose.append(rows.ravel())
     anchored = _anchored(anchors, n)
     if not free:
@@ -368,10 +375,11 @@ def _note_inside(
     return (host.words(f"{counted(count, what)} beside the {cells}, inside of a region, {told}"),)
 
 
-def notes_on_sets(kept: tuple[KeptCells, ...]) -> tuple[str, ...]:
-    """Say which vertices stay that a point set or something else of the file names."""
+def notes_on_sets(kept: tuple[KeptCells, ...], fixed: BoolArray) -> tuple[str, ...]:
+    """Say which vertices stay, of those ``fixed`` (n,), that a point set or the file names."""
     return tuple(f"{counted(len(rows), kind, kind.replace('vertex', 'vertices'))} stay where they "
-                 f"are" for kind, rows, *_ in kept if kind.startswith((SET_VERTEX, NAMED_VERTEX)))
+                 f"are" for kind, rows, *_ in kept
+                 if kind.startswith((SET_VERTEX, NAMED_VERTEX)) and fixed[rows].all())
 
 
 def hold_places(

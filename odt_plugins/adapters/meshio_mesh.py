@@ -46,7 +46,13 @@ from odt_plugins.adapters.host import (
     is_instance,
 )
 from odt_plugins.adapters.normals import renewed
-from odt_plugins.adapters.point_sets import walls_of, whole_cells, with_added, with_links
+from odt_plugins.adapters.point_sets import (
+    of_corners,
+    walls_of,
+    whole_cells,
+    with_added,
+    with_links,
+)
 from odt_plugins.adapters.regions import AUTO, Labels, region_labels
 from odt_plugins.adapters.wedges import carried
 from odt_plugins.errors import InvalidMeshError, UnsupportedMeshError, counted
@@ -285,27 +291,29 @@ def _sets_of(
 ) -> list[tuple[str, NDArray[Any], NDArray[Any]]]:
     """Name and vertices of every point set, and the cells that fill it if it is a volume."""
     out = []
-    known = ((cells >= 0) & (cells < len(mesh.points))).all(axis=1)
-    cells = cells[known].astype(np.int64)
-    walls = walls_of(cells, None if labels is None else labels[known], len(mesh.points), shape) if (
+    there = ((cells >= 0) & (cells < len(mesh.points))).all(axis=1)
+    cells = cells[there].astype(np.int64)
+    walls = walls_of(cells, None if labels is None else labels[there], len(mesh.points), shape) if (
         mesh.point_sets) else cells
     for name, members in mesh.point_sets.items():
         given = indices(members)
         given = given[(given >= 0) & (given < len(mesh.points))]
-        out.append((name, given, whole_cells(given, cells, walls, len(mesh.points), shape)))
+        known = cells, walls, len(mesh.points), shape
+        out.append((name, of_corners(given, *known), whole_cells(given, *known)))
     return out
 
 
 def _anchors(
     mesh: Any, sets: list[tuple[str, NDArray[Any], NDArray[Any]]], corners: int
 ) -> NDArray[Any]:
-    """Vertices of vertex cells, and of point sets that are no volumes.
+    """Vertices of vertex cells, and of point sets of few cells.
 
-    A volume is filled by cells, which are more than half as many as its corners.
+    A volume is filled by cells, which are more than half as many as its corners; sets that are none
+    are kept.
     """
     named = [np.asarray(block.data) for block in mesh.cells if block.type == "vertex"]
-    named += [given for _, given, whole in sets
-              if 2 * len(whole) <= len(np.unique(whole[:, :corners]))]
+    named += [given for name, given, whole in sets if name == REQUIRED or (
+        len(whole) and 2 * len(whole) <= len(np.unique(whole[:, :corners])))]
     return np.concatenate([np.zeros(0, dtype=np.int64),
                            *(v.ravel().astype(np.int64) for v in named)])
 

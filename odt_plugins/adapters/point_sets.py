@@ -123,6 +123,20 @@ def whole_cells(
     return whole if volume else whole[:0]
 
 
+def of_corners(
+    members: NDArray[np.integer], cells: NDArray[np.integer], walls: NDArray[np.int64], n: int,
+    shape: NDArray[np.int64] | None,
+) -> NDArray[np.integer]:
+    """Corners of a set (q,) that walls (w, r) fill, whose other nodes follow; all of any other."""
+    if shape is None:
+        return members
+    inside = np.zeros(n, dtype=np.bool_)
+    inside[members] = True
+    sheet = walls[inside[walls].all(axis=1)]
+    corners = cells[:, : shape.shape[1]]
+    return members[np.isin(members, corners)] if np.isin(members, sheet).all() else members
+
+
 def _nearest(
     places: NDArray[np.float64], near: NDArray[np.integer], points: NDArray[np.float64],
     facets: NDArray[np.int64],

@@ -9,7 +9,7 @@ import meshio
 import numpy as np
 import pytest
 
-from odt_plugins import optimize, remesh, untangle
+from odt_plugins import optimize, remesh, remesh_with_report, untangle
 from odt_plugins.errors import DataNotKeptWarning, InvalidMeshError
 from odt_plugins.generate import uniform_refine
 
@@ -53,17 +53,32 @@ def test_sets_of_curved_surfaces_and_of_volumes_have_the_new_vertices(dim, n):
         np.testing.assert_array_equal(np.sort(after.point_sets[name]), members, err_msg=name)
 
 
-def test_the_skin_of_a_coarse_box_is_no_volume_and_stays():
-    points, cells = boxes.box(3, 5)
-    skin, right = np.unique(walls(cells)), points[cells].mean(axis=1)[:, 0] > 0.5
-    mesh = meshio.Mesh(points, [("tetra", cells)], point_sets={"skin": skin},
-                       cell_data={"material": [right.astype(int)]})
-    after = remesh(mesh, scale=0.6, free="periodic")
-    now = np.unique(walls(after.cells[0].data))
-    assert len(now) > len(skin)
-    assert not len(np.setdiff1d(now, after.point_sets["skin"]))
-    there = {tuple(row) for row in after.points.tolist()}
-    assert all(tuple(row) in there for row in points[skin].tolist())
+@pytest.mark.parametrize("quadratic", [False, True])
+@pytest.mark.parametrize("scale", [0.6, 1.7])
+def test_sets_of_sides_are_resized_and_have_the_nodes_of_their_sides(scale, quadratic):
+    points, cells = boxes.box(3, 4 if quadratic else 6)
+    if quadratic:
+        points, cells = boxes.quadratic(points, cells)
+
+    def sides(x):
+        return {"left": x[:, 0] < 1e-9, "half": (x[:, 2] < 1e-9) & (x[:, 0] < 0.5 + 1e-9),
+                "skin": ((x < 1e-9) | (x > 1 - 1e-9)).any(axis=1)}
+
+    probes = np.array([1, 9, 30])
+    sets = {name: np.flatnonzero(inside) for name, inside in sides(points).items()}
+    mesh = meshio.Mesh(points, [("tetra10" if quadratic else "tetra", cells)],
+                       point_sets={**sets, "probes": probes})
+    after, report = remesh_with_report(mesh, scale=scale)
+    for name, inside in sides(after.points).items():
+        np.testing.assert_array_equal(np.sort(after.point_sets[name]), np.flatnonzero(inside),
+                                      err_msg=name)
+        assert (len(after.point_sets[name]) > len(sets[name])) == (scale < 1)
+    assert np.array_equal(after.points[after.point_sets["probes"]], points[probes])
+    assert [note for note in report.notes if "point set" in note] == [
+        "3 vertices of point set 'probes' stay where they are"]
+    fixed = remesh(mesh, scale=scale, boundary="fixed")
+    there = {row.tobytes() for row in fixed.points}
+    assert all(row.tobytes() in there for row in points[sets["skin"]])
 
 
 @pytest.mark.parametrize("kind", ["i1", "u1"])
