@@ -14,7 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.adapters.higher_order import shape_values
-from odt_plugins.adapters.host import HostMesh, KeptCells, NewFaces, NewVertices, Result
+from odt_plugins.adapters.host import (
+    HostMesh,
+    KeptCells,
+    NewFaces,
+    NewVertices,
+    Result,
+    as_indices,
+)
 from odt_plugins.errors import UnsupportedMeshError, counted
 from odt_plugins.mesh.facets import row_keys
 
@@ -94,12 +101,12 @@ def elevated(
     key = row_keys(np.concatenate([ends, old.ends[alive]]), len(points))
     _, first, inverse = np.unique(key[: len(ends)], return_index=True, return_inverse=True)
     ends = ends[first]
-    order = np.argsort(key[len(rows) * len(pairs):])
-    known = key[len(rows) * len(pairs):][order]
-    place = np.minimum(np.searchsorted(known, key[first]), len(known) - 1)
-    stays = known[place] == key[first]
+    known = key[len(rows) * len(pairs):]
+    order = np.argsort(known)
+    stays = np.isin(key[first], known)
     node = np.full(len(ends), -1, dtype=np.int64)
-    node[stays] = old.node[alive][order][place[stays]]
+    node[stays] = old.node[alive][order][
+        np.searchsorted(known[order], key[first][stays])]
 
     there = np.ones(len(points), dtype=np.bool_)
     gone = np.setdiff1d(old.node, np.concatenate([node[stays], _alone(host)]))
@@ -129,11 +136,8 @@ def elevated(
     number_of = dict(zip(map(tuple, ends.tolist()), at.tolist(), strict=True))
     faces = tuple(faces and NewFaces(_with_middles(faces.rows, index, number_of), faces.source)
                   for faces in result.faces)
-    kind = result.cells.dtype
-    if kind.kind != "f":
-        kind = np.promote_types(kind, np.min_scalar_type(len(out) - 1))
-    return result._replace(points=out, cells=cells.astype(kind), vertices=followed, locate=None,
-                           faces=faces)
+    return result._replace(points=out, cells=as_indices(cells, result.cells), vertices=followed,
+                           locate=None, faces=faces)
 
 
 def _with_middles(

@@ -76,6 +76,16 @@ def test_meshio_has_a_node_on_every_edge_and_fields_of_second_order_are_exact(sc
     assert same.any()
 
 
+@pytest.mark.parametrize("n", [2, 3])
+def test_no_edge_of_the_input_need_be_left(n):
+    x, nodes = quadratic(*box(3, n))
+    mesh = meshio.Mesh(x, [("tetra10", nodes)], point_data={"f": x[:, 0]})
+    out = remesh(mesh, scale=6)
+    assert len(out.cells[0].data) < len(nodes) / 3
+    expect_whole(out.points, out.cells[0].data)
+    assert np.allclose(out.point_data["f"], out.points[:, 0])
+
+
 @pytest.mark.parametrize("scale", [0.7, 1.6])
 def test_nodes_of_edges_that_stay_keep_their_place_and_data(scale):
     x, nodes, *_ = solid(5)
