@@ -23,8 +23,8 @@ from typing import Any
 import llvmlite.binding as llvm
 import numpy as np
 from llvmlite import ir
-from numba import carray, cfunc, njit, types  # type: ignore[attr-defined]
-from numba.extending import intrinsic, lower_builtin, type_callable
+from numba import cfunc, njit, types  # type: ignore[attr-defined]
+from numba.extending import intrinsic, lower_builtin, models, register_model, type_callable
 
 from odt_plugins.engine.compiled.kernel import Kernel
 
@@ -34,19 +34,11 @@ LEVELS = {"x86_64": ("x86-64-v2", "x86-64-v3")}
 NUMBERS = {"int64": types.int64, "float64": types.float64, "bool": types.boolean}
 """Types of numbers as a library spells them."""
 
+WORD = ir.IntType(64)
+"""What a slot holds."""
+
 RESULTS = (types.Boolean, "bool"), (types.Integer, "int64"), (types.Float, "float64")
 """As what a library returns numbers."""
-
-READ = {"int64": "words[{}]", "float64": "reals[{}]", "bool": "words[{}] != 0"}
-"""How an entry reads a number from a slot."""
-
-ENTRY = """
-def entry(slots):
-    words, reals = carray(slots, {slots}, int64), carray(slots, {slots}, float64)
-    out = kernel({given})
-    {kept}
-"""
-"""What Python calls of a kernel."""
 
 COUNTED = re.compile(r"^ *(?:tail )?call void @NRT_(?:in|de)cref\(.*\n", re.MULTILINE)
 """Where IR counts references to an array."""
@@ -148,76 +140,108 @@ MOVBE, OSXSAVE, AVX, F16C, BMI, AVX2, BMI2, LZCNT and a system that saves their 
 Source: Intel 64 and IA-32 Architectures Software Developer's Manual, volume 2, CPUID."""
 
 
-def _address(typing: Any, number: Any) -> Any:
-    """Take a number for a place in memory."""
-    def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        return builder.inttoptr(args[0], context.get_value_type(types.voidptr))
-
-    return types.voidptr(types.int64), code
-
-
-address: Any = intrinsic(_address)
-"""Place in memory that has a number."""
-
-
 def named(name: ast.expr) -> Any:
     """Give what a dotted name stands for."""
     module, _, last = ast.unparse(name).rpartition(".")
     return getattr(import_module(module), last)
 
 
-@njit  # type: ignore[misc]
-def array1(head: Any, kind: Any) -> Any:
-    """Array by the place where the head of NumPy's object ends: place, number of axes, shape."""
-    held = carray(address(head), 3, np.int64)
-    return carray(address(held[0]), carray(address(held[2]), 1, np.int64)[0], kind)
+class Held(types.Array):
+    """Array that whoever calls a kernel keeps alive, so that numba counts no references to it."""
 
 
-@njit  # type: ignore[misc]
-def array2(head: Any, kind: Any) -> Any:
-    """As :func:`array1`, of two axes."""
-    held = carray(address(head), 3, np.int64)
-    shape = carray(address(held[2]), 2, np.int64)
-    return carray(address(held[0]), (shape[0], shape[1]), kind)
+@register_model(Held)
+class HeldModel(models.StructModel):
+    """Lay out such an array: as numba does others, but that what keeps them is a mere address."""
 
+    def __init__(self, manager: Any, kind: Any) -> None:
+        lengths = types.UniTuple(types.intp, kind.ndim)
+        super().__init__(manager, kind, [
+            ("meminfo", types.voidptr), ("parent", types.pyobject), ("nitems", types.intp),
+            ("itemsize", types.intp), ("data", types.CPointer(kind.dtype)), ("shape", lengths),
+            ("strides", lengths)])
 
-@njit  # type: ignore[misc]
-def array3(head: Any, kind: Any) -> Any:
-    """As :func:`array1`, of three axes."""
-    held = carray(address(head), 3, np.int64)
-    shape = carray(address(held[2]), 3, np.int64)
-    return carray(address(held[0]), (shape[0], shape[1], shape[2]), kind)
+    def traverse(self, builder: Any) -> list[Any]:
+        """Nothing within is counted."""
+        return []
 
 
 class Slots:
-    """How an entry reads its arguments: types for numba, and code."""
+    """Code that reads the arguments of an entry from its slots, in turn, and leaves results there.
 
-    def __init__(self) -> None:
-        self.names: dict[str, Any] = {
-            "carray": carray, "int64": np.int64, "float64": np.float64,
-            "array1": array1, "array2": array2, "array3": array3}
-        self.count = 1
-        """The first slot holds the length of the head of an object."""
+    Parameters
+    ----------
+    context, builder    numba's and LLVM's, of the code of the entry
+    words               address of the slots; the first holds the length of the head of an object
+    """
 
-    def read(self, spelled: ast.expr) -> tuple[Any, str]:
-        """Type of an argument, and the code that reads it."""
-        slot = self.count
-        if isinstance(spelled, ast.Call):
-            kinds, codes = zip(*map(self.read, spelled.args), strict=True)
-            inner = ", ".join(codes)
-            if ast.unparse(spelled.func) == "tuple":
-                return types.Tuple(kinds), f"({inner},)"
-            made, name = named(spelled.func), f"tuple{len(self.names)}"
-            self.names[name] = made
-            return types.BaseTuple.from_types(kinds, made), f"{name}({inner})"
-        self.count += 1
-        if not isinstance(spelled, ast.Subscript):
-            name = ast.unparse(spelled)
-            return NUMBERS[name], READ[name].format(slot)
-        kind, axes = np.dtype(ast.unparse(spelled.value)).type, int(ast.unparse(spelled.slice))
-        self.names[kind.__name__] = kind
-        array = types.Array(NUMBERS.get(kind.__name__) or getattr(types, kind.__name__), axes, "C")
-        return array, f"array{axes}(words[{slot}] + words[0], {kind.__name__})"
+    def __init__(self, context: Any, builder: Any, words: Any) -> None:
+        self.context, self.builder, self.count = context, builder, 1
+        self.words = builder.bitcast(words, WORD.as_pointer())
+
+    def word(self, words: Any, place: int) -> Any:
+        """Read a number from those at an address."""
+        return self.builder.load(self.builder.gep(words, [WORD(place)]))
+
+    def words_at(self, number: Any) -> Any:
+        """Give the numbers that lie where a number says."""
+        return self.builder.inttoptr(number, WORD.as_pointer())
+
+    def read(self, kind: Any) -> Any:
+        """Read an argument."""
+        made, inner = self.context.get_value_type(kind), getattr(kind, "types", None)
+        if inner is not None:
+            return self.struct(made, map(self.read, inner))
+        word, self.count = self.word(self.words, self.count), self.count + 1
+        if isinstance(kind, Held):
+            return self.array(kind, word)
+        if kind is types.boolean:
+            return self.builder.icmp_unsigned("!=", word, WORD(0))
+        return self.builder.bitcast(word, made)
+
+    def array(self, kind: Any, number: Any) -> Any:
+        """Array by the place where NumPy's object lies: after its head place, axes, shape."""
+        builder = self.builder
+        held = self.words_at(builder.add(number, self.word(self.words, 0)))
+        shape = [self.word(self.words_at(self.word(held, 2)), axis) for axis in range(kind.ndim)]
+        strides = [WORD(np.dtype(str(kind.dtype)).itemsize)]
+        for length in reversed(shape):
+            strides.insert(0, builder.mul(strides[0], length))
+        item, count = strides[-1], builder.udiv(strides[0], strides[-1])
+        made = self.context.get_value_type(kind)
+        nothing, data = (made.elements[place](None) for place in (0, 1)), self.word(held, 0)
+        return self.struct(made, [
+            *nothing, count, item, builder.inttoptr(data, made.elements[4]),
+            self.struct(made.elements[5], shape), self.struct(made.elements[6], strides[1:])])
+
+    def struct(self, kind: Any, values: Iterable[Any]) -> Any:
+        """Put values together."""
+        whole = ir.Constant(kind, ir.Undefined)
+        for place, value in enumerate(values):
+            whole = self.builder.insert_value(whole, value, place)
+        return whole
+
+    def keep(self, place: int, kind: str, value: Any) -> None:
+        """Leave a result."""
+        held = self.builder.gep(self.words, [WORD(place)])
+        if kind == "float64":
+            held = self.builder.bitcast(held, value.type.as_pointer())
+        elif value.type.width < WORD.width:
+            value = self.builder.zext(value, WORD)
+        self.builder.store(value, held)
+
+
+def kind_of(spelled: ast.expr) -> Any:
+    """Type of an argument for numba, by the way that a library spells types."""
+    if isinstance(spelled, ast.Call):
+        kinds = tuple(map(kind_of, spelled.args))
+        name = ast.unparse(spelled.func)
+        return types.Tuple(kinds) if name == "tuple" else (
+            types.BaseTuple.from_types(kinds, named(spelled.func)))
+    if not isinstance(spelled, ast.Subscript):
+        return NUMBERS[ast.unparse(spelled)]
+    name, axes = np.dtype(ast.unparse(spelled.value)).name, int(ast.unparse(spelled.slice))
+    return Held(NUMBERS.get(name) or getattr(types, name), axes, "C")
 
 
 def name_of(kernel: Kernel, args: Sequence[Any]) -> str:
@@ -229,6 +253,11 @@ def name_of(kernel: Kernel, args: Sequence[Any]) -> str:
     text = " ".join(
         [kernel.py_func.__module__, kernel.py_func.__qualname__, *map(told, args)])
     return f"unit.{sha256(text.encode()).hexdigest()[:16]}"
+
+
+def wide(kind: Any) -> Any:
+    """Type as which a kernel takes a number: those of four bytes become ones of eight."""
+    return types.int64 if types.unliteral(kind) is types.int32 else types.unliteral(kind)
 
 
 class Units:
@@ -259,7 +288,7 @@ class Units:
         @type_callable(kernel)
         def typed(context: Any) -> Any:
             def typer(*args: Any) -> Any:
-                return self.unit(kernel, args)[1](*map(types.unliteral, args))
+                return self.unit(kernel, args)[1](*map(wide, args))
 
             typer.__signature__ = bare  # type: ignore[attr-defined]
             return typer
@@ -274,7 +303,7 @@ class Units:
 
     def unit(self, kernel: Kernel, args: Sequence[Any]) -> tuple[str, Any]:
         """Compile a kernel for some types; gives its name in IR and the type of its result."""
-        key = kernel, tuple(map(types.unliteral, args))
+        key = kernel, tuple(map(wide, args))
         if key not in self._known:
             name = name_of(*key)
             # numba asks for all addresses, though nothing is run here.
@@ -313,19 +342,26 @@ class Units:
         its name in IR, and the types of the results
         """
         call: Any = ast.parse(line, mode="eval").body
-        kernel, slots = named(call.func), Slots()
+        kernel, kinds = named(call.func), list(map(kind_of, call.args))
         self.tell()
-        given = [slots.read(arg) for arg in call.args]
-        result = self.unit(kernel, [kind for kind, _ in given])[1]
+        unit, result = self.unit(kernel, kinds)
         several = isinstance(result, types.BaseTuple)
         results = result if several else () if result is types.none else (result,)
         made = [next(name for kind, name in RESULTS if isinstance(each, kind)) for each in results]
-        kept = [f"{'reals' if kind == 'float64' else 'words'}[{place}] = "
-                f"out{f'[{place}]' if several else ''}" for place, kind in enumerate(made)]
-        names = slots.names | {"kernel": kernel}
-        exec(ENTRY.format(slots=max(slots.count, len(made)), kept="; ".join(kept),
-                          given=", ".join(code for _, code in given)), names)
-        whole = cfunc(types.void(types.voidptr), error_model="numpy")(names["entry"])
+
+        def typed(typing: Any, words: Any) -> Any:
+            def code(context: Any, builder: Any, signature: Any, args: Any) -> None:
+                slots = Slots(context, builder, *args)
+                given = list(map(slots.read, kinds))
+                kind = ir.FunctionType(
+                    context.get_value_type(result), [each.type for each in given])
+                out = builder.call(ir.Function(builder.module, kind, unit), given)
+                for place, name in enumerate(made):
+                    slots.keep(place, name, builder.extract_value(out, place) if several else out)
+            return types.void(types.voidptr), code
+
+        called: Any = intrinsic(typed)
+        whole = cfunc(types.void(types.voidptr), error_model="numpy")(lambda slots: called(slots))
         name: str = whole.native_name
         self._parts[name] = linkable(whole.inspect_llvm(), name, "nounwind")
         return name, f"({', '.join(made)})" if several else ", ".join(made)

@@ -149,7 +149,7 @@ def _flip_sheet(skin: Skin, a: int, b: int, room: Work) -> bool:
     if s < 0 or sheet.locked[edge] or skin.stays[edge]:
         return False
     g = place_in(sheet.edges.of_cell, s, edge)
-    x, y = sheet.triangles[t, f], sheet.triangles[s, g]
+    x, y = np.int64(sheet.triangles[t, f]), np.int64(sheet.triangles[s, g])
     change = _signed_volume(
         sheet.points, x, sheet.triangles[t, (f + 1) % 3], sheet.triangles[t, (f + 2) % 3], y
     )
