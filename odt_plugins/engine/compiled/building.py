@@ -446,11 +446,11 @@ def linkable(text: str, name: str, mark: str) -> tuple[bytes, list[str]]:
         return f"{head} {{ ret {kind} {value} }}"
 
     text = FROM_END.sub(r"  \4 = add i64 \2, 0\n", APART.sub(r"\1nounwind", text))
+    text = re.sub(rf'^(define .*@"?{re.escape(name)}"?\(.*) \{{$', rf"\1 {mark} {{", text,
+                  flags=re.MULTILINE)
     module = optimised(llvm.parse_assembly(RAISING.sub(empty, text)), machine("", 1), 1)
     for value in (*module.functions, *module.global_variables):
-        if value.name == name:
-            value.add_function_attribute(mark)
-        elif not value.is_declaration:
+        if value.name != name and not value.is_declaration:
             value.linkage = "internal"
     code: bytes = module.as_bitcode()
     return code, sorted({*CALLED.findall(text)})
