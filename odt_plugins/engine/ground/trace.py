@@ -18,8 +18,8 @@ from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.ground.closest import Ground, closest_on_triangle, walk
 from odt_plugins.engine.topology.lookup import place_in
 
-CROSSINGS = 128
-"""Most edges of the ground that one edge may cross."""
+CROSSINGS = 1 << 10
+"""Most edges of the ground that one edge may cross: all needles of a fan, for one."""
 
 INWARD = 1e-6
 """A foot is taken this part of the way to the barycentre of its triangle: never on an edge."""

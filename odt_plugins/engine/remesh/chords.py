@@ -33,6 +33,12 @@ MOST = 1.2
 THIN = 2.0
 """Multiple of the altitudes of triangles up to which their edges are lengths of the input."""
 
+NARROWEST = 1e-3
+"""Least width of a tip of needles, see :func:`_own_sizes`."""
+
+PLANE = 1.0 - 1e-9
+"""Square of the mean of unit normals from which on these are parallel."""
+
 LONGEST = 0.1
 """Largest size, as a part of the diagonal, where nothing is curved."""
 
@@ -40,28 +46,48 @@ LONGEST = 0.1
 def curvature_sizes(mesh: SimplexMesh, envelope: float, angle: float) -> FloatArray:
     """Sizes (n,) as long as an envelope allows, see :func:`chords`, and LONGEST at most.
 
-    None is smaller than those of the input, which are THIN times the altitudes of its triangles at
-    most: needles of CAD have no long edges.
+    None is smaller than those of the input, or than twice the envelope. Where needles meet in a tip
+    the surface is ever more curved towards it.
     """
     longest = LONGEST * diagonal(mesh.points[np.unique(mesh.cells)])
+    own, width = _own_sizes(mesh)
+    found = np.minimum(width * chords(mesh, envelope, angle), longest)
+    return np.maximum(found, np.maximum(own, 2.0 * envelope))
+
+
+def _own_sizes(mesh: SimplexMesh) -> tuple[FloatArray, FloatArray]:
+    """Sizes (n,) of the input, and how wide triangles are at every vertex, 1 but at tips.
+
+    Needles of CAD have no long edges: sizes of a surface are THIN times its altitudes at most.
+    Where needles meet in a tip they are ever thinner: a vertex whose widest corner is of an angle
+    phi below 30 degrees has the width w = 2 sin(phi), and the altitudes count w^2 times. No tip is
+    where all is in one plane.
+    """
     own = local_sizes(mesh)
-    if mesh.is_surface:
-        own = np.minimum(own, THIN * _altitudes(mesh))
-    return np.maximum(np.minimum(chords(mesh, envelope, angle), longest), own)
-
-
-def _altitudes(mesh: SimplexMesh) -> FloatArray:
-    """Mean least altitude (n,) of the triangles around every vertex, inf where there are none."""
+    if not mesh.is_surface:
+        return own, np.ones(len(own))
     x = mesh.points[mesh.cells]
     sides = x - x[:, [1, 2, 0]]
     squares = (sides * sides).sum(axis=2)
-    along = (sides[:, 0] * sides[:, 1]).sum(axis=1)
-    double = np.sqrt(np.maximum(squares[:, 0] * squares[:, 1] - along * along, 0.0))
-    least = double / np.sqrt(squares.max(axis=1))
-    n = len(mesh.points)
-    total = np.bincount(mesh.cells.ravel(), np.repeat(least, 3), n)
-    count = np.bincount(mesh.cells.ravel(), minlength=n)
-    return np.divide(total, count, out=np.full(n, np.inf), where=count > 0)
+    along = -(sides * sides[:, [2, 0, 1]]).sum(axis=2)
+    double = np.sqrt(np.maximum(squares[:, 0] * squares[:, 1] - along[:, 1] * along[:, 1], 0.0))
+    n, corners = len(mesh.points), mesh.cells.ravel()
+    least = _ratio(double, np.sqrt(squares.max(axis=1)))
+    total = np.bincount(corners, np.repeat(least, 3), n)
+    count = np.bincount(corners, minlength=n)
+    altitude = np.divide(total, count, out=np.full(n, np.inf), where=count > 0)
+    sine = _ratio(double[:, None], np.sqrt(squares * squares[:, [2, 0, 1]]))
+    widest = np.where(count > 0, NARROWEST, 1.0)
+    np.maximum.at(widest, corners, np.where(along > 0.0, np.minimum(2.0 * sine, 1.0), 1.0).ravel())
+    normal = np.cross(sides[:, 0], sides[:, 1]) * _ratio(np.ones(len(double)), double)[:, None]
+    mean = np.stack([np.bincount(corners, np.repeat(axis, 3), n) for axis in normal.T], axis=1)
+    width = np.where((mean * mean).sum(axis=1) < PLANE * count * count, widest, 1.0)
+    return np.minimum(own, THIN * altitude * width * width), width
+
+
+def _ratio(above: FloatArray, below: FloatArray) -> FloatArray:
+    """Quotients of lengths; 0 where both are 0."""
+    return np.divide(above, below, out=np.zeros(below.shape), where=below > 0.0)
 
 
 def within_chords(mesh: SimplexMesh, sizes: Sizes, envelope: float, angle: float) -> Sizes:
@@ -69,7 +95,8 @@ def within_chords(mesh: SimplexMesh, sizes: Sizes, envelope: float, angle: float
 
     Longer edges would come in the direction alone in which the surface is less curved.
     """
-    most = np.maximum(MOST * chords(mesh, envelope, angle), local_sizes(mesh))
+    own, width = _own_sizes(mesh)
+    most = np.maximum(MOST * width * chords(mesh, envelope, angle), np.maximum(own, 2.0 * envelope))
     used = np.unique(mesh.cells)
     finer = used[sizes.values[used] > FINER * most[used]]
     if not len(finer):

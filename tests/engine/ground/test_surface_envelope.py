@@ -102,6 +102,30 @@ def test_bounds_enclose_the_sampled_distance(seed, tolerance):
         assert far >= lower - 0.02
 
 
+def test_bounds_meet_where_needles_have_a_crease_at_their_ends():
+    def cone(sections, rings):
+        at = np.arange(1, rings + 1)[:, None] / rings
+        around = 2 * np.pi * np.arange(sections) / sections
+        x, y = at * np.cos(around), at * np.sin(around)
+        points = np.vstack([[[0, 0, 2], [0, 0, 0]], np.stack(
+            [x, y, 2 - 2 * at + 0 * x], axis=2).reshape(-1, 3)])
+        k = np.arange(sections)
+        after = (k + 1) % sections
+        cells = [np.c_[0 * k, 2 + k, 2 + after]]
+        for ring in range(rings - 1):
+            low, high = 2 + sections * ring, 2 + sections * (ring + 1)
+            cells += [np.c_[low + k, high + k, high + after],
+                      np.c_[low + k, high + after, low + after]]
+        last = 2 + sections * (rings - 1)
+        cells.append(np.c_[0 * k + 1, last + after, last + k])
+        return points, np.concatenate(cells).astype(np.int32)
+
+    found = distances(cone(60, 20), cone(200, 1), 1e-4)
+    assert found.forward_upper <= found.forward_lower + 1e-4
+    assert found.backward_upper <= found.backward_lower + 1e-4
+    assert found.backward_lower == pytest.approx(1.0 - np.cos(np.pi / 60), rel=0.2)
+
+
 def test_distance_of_two_parallel_squares_and_of_a_surface_to_itself():
     points, cells = sm.sheet(3)
     raised, other = sm.sheet(7)

@@ -26,6 +26,22 @@ def cone(sections):
     return points, np.array(side + cap, dtype=np.int32)
 
 
+def fans(sections, tip):
+    """A cylinder, or with a tip a cone, of needles; those of flat ends meet in the middle."""
+    around = 2 * np.pi * np.arange(sections) / sections
+    ring, k = np.c_[np.cos(around), np.sin(around)], np.arange(sections)
+    after, foot, top = (k + 1) % sections, np.full(sections, 2 * sections), 0 * k + 2 * sections + 1
+    points = np.vstack([np.c_[ring, 0 * k], np.c_[ring, 0 * k + 2.0], [[0, 0, 0], [0, 0, 2.0]]])
+    ends = [np.c_[after, k, foot]]
+    if tip:
+        side = [np.c_[k, after, top]]
+    else:
+        ends.append(np.c_[sections + k, sections + after, top])
+        side = [np.c_[k, after, sections + after], np.c_[k, sections + after, sections + k]]
+    used, cells = np.unique(np.concatenate(side + ends), return_inverse=True)
+    return points[used], cells.reshape(-1, 3).astype(np.int32)
+
+
 def quality(points, cells):
     a, b, c = (np.linalg.norm(points[cells[:, i]] - points[cells[:, j]], axis=1)
                for i, j in ((0, 1), (1, 2), (2, 0)))
@@ -66,3 +82,19 @@ def test_every_triangle_has_a_foot_on_its_own_piece():
     assert (patch[found[cells]] == patch[:, None]).any(axis=1).all()
     assert all(v in cells[t] for v, t in enumerate(found.tolist()))
     assert reaching(cells, found, patch) is found
+
+
+@pytest.mark.parametrize(("sections", "tip", "asked", "least"), [
+    (400, False, {"size": 0.1}, 0.8), (400, False, {"scale": 1.0}, 0.7),
+    (48, True, {"scale": 1.0}, 0.6),
+    (200, True, {"size": 0.1}, 0.4), (48, True, {"size": "curvature"}, 0.6),
+    (48, True, {"size": "curvature", "envelope": 1e-2}, 0.8),
+    (200, True, {"size": "curvature", "envelope": 1e-2}, 0.8)])
+def test_needles_that_meet_in_tips_become_good_triangles(sections, tip, asked, least):
+    points, cells = fans(sections, tip)
+    assert quality(points, cells).mean() < 0.2
+    (made, new), report = odt_plugins.remesh_with_report((points, cells), **asked)
+    assert report.fallback is None
+    found = quality(made, new)
+    assert found.min() > least
+    assert found.mean() > 0.93
