@@ -225,9 +225,20 @@ def one_sided(
     Notes
     -----
     Branch and bound: a triangle whose upper bound is above the largest distance found, by more
-    than the tolerance, is cut into parts until nothing is left or there were too many, whereupon
-    the upper bound is what is left.
+    than the tolerance, is cut into four until nothing is left or there were too many, whereupon the
+    upper bound is what is left. Then needles are cut across as well, and the better bounds count.
     """
+    found = _searched(reference, points, triangles, tolerance, False)
+    if found.upper > found.lower + tolerance:
+        again = _searched(reference, points, triangles, tolerance, True)
+        found = OneSided(min(found.upper, again.upper), max(found.lower, again.lower))
+    return found
+
+
+def _searched(
+    reference: Reference, points: FloatArray, triangles: IntArray, tolerance: float, across: bool
+) -> OneSided:
+    """Bound as :func:`one_sided`, needles cut across or into four as other triangles."""
     points = np.ascontiguousarray(points, dtype=np.float64)
     triangles = np.ascontiguousarray(triangles, dtype=np.int32)
     distance, feet = _from_vertices(reference, points, triangles)
@@ -253,32 +264,34 @@ def one_sided(
             bound[open_] = np.minimum(bound[open_], middle + radius[open_])
             open_ = bound > lower + tolerance
         upper = max(upper, float(bound[~open_].max(initial=0.0)))
-        budget -= 4 * int(open_.sum())
         if budget < 0:
             upper = max(upper, float(bound[open_].max(initial=0.0)))
             break
-        points, triangles = _cut(points, triangles[open_])
+        points, triangles = _cut(points, triangles[open_], across)
+        budget -= len(triangles)
         if len(triangles):
             distance, feet, _ = reference.closest(points)
             lower = max(lower, float(distance.max()))
     return OneSided(max(upper, lower), lower)
 
 
-def _cut(points: FloatArray, triangles: IntArray) -> tuple[FloatArray, IntArray]:
-    """Cut every triangle into four, with points of its own; needles and lines (a, b, b) into two.
+def _cut(
+    points: FloatArray, triangles: IntArray, across: bool
+) -> tuple[FloatArray, IntArray]:
+    """Cut every triangle into four, with points of its own; lines (a, b, b) into two.
 
-    A needle has a side less than half as long as another, and is cut across the longest: four parts
-    would be as thin, and many more than the places that are left to look at.
+    Needles have a side less than half as long as another. They are cut ``across`` the longest into
+    two, as four parts would be as thin, and many more than the places that are left to look at.
     """
     m = len(triangles)
     x = points[triangles]
     squares = ((x[:, [1, 2, 0]] - x[:, [2, 0, 1]]) ** 2).sum(axis=2)
-    turn = (np.argmax(squares, axis=1)[:, None] + [0, 1, 2]) % 3
+    thin = squares.min(axis=1) < (0.25 if across else 1e-300) * squares.max(axis=1)
+    turn = (np.where(thin, np.argmax(squares, axis=1), 0)[:, None] + [0, 1, 2]) % 3
     a, b, c = (x[np.arange(m), turn[:, i]] for i in range(3))
     split = np.stack([a, b, c, 0.5 * (b + c), 0.5 * (c + a), 0.5 * (a + b)], axis=1)
     rows = np.array([[0, 5, 4], [1, 3, 5], [2, 4, 3], [3, 4, 5]], dtype=np.int32)
     first = 6 * np.arange(m, dtype=np.int32)[:, None, None]
-    thin = squares.min(axis=1) < 0.25 * squares.max(axis=1)
     two = np.array([[0, 1, 3], [0, 3, 2]], dtype=np.int32)
     line = squares.min(axis=1)[thin, None, None] == 0.0
     halves = first[thin] + np.where(line, np.array([[0, 1, 3], [3, 3, 2]], dtype=np.int32), two)

@@ -130,7 +130,7 @@ def _all_afford(volume: FloatArray, change: float, a: int, b: int, x: int, y: in
     after = abs(volume[0, 0] + change)
     if after > volume[0, 1] and after > abs(volume[0, 0]):
         return False
-    for v in (a, b, x, y):
+    for v in (np.int64(a), np.int64(b), np.int64(x), np.int64(y)):
         if not affordable(volume, 0.25 * change, v):
             return False
     return True
@@ -149,7 +149,7 @@ def _flip_sheet(skin: Skin, a: int, b: int, room: Work) -> bool:
     if s < 0 or sheet.locked[edge] or skin.stays[edge]:
         return False
     g = place_in(sheet.edges.of_cell, s, edge)
-    x, y = np.int64(sheet.triangles[t, f]), np.int64(sheet.triangles[s, g])
+    x, y = sheet.triangles[t, f], sheet.triangles[s, g]
     change = _signed_volume(
         sheet.points, x, sheet.triangles[t, (f + 1) % 3], sheet.triangles[t, (f + 2) % 3], y
     )
@@ -173,7 +173,7 @@ def _flip_sheet(skin: Skin, a: int, b: int, room: Work) -> bool:
         flip_back(sheet, t, s, edge)
         return False
     cover(sheet, pair, number, room)
-    for v in (a, b, x, y):
+    for v in (np.int64(a), np.int64(b), np.int64(x), np.int64(y)):
         spend(volume, 0.25 * change, v)
     for m in range(3):
         fan[sheet.triangles[t, m]] = t
