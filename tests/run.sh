@@ -15,7 +15,7 @@ cd "$(dirname "$0")/.."
 . tests/environment.sh
 # Hundreds of processes import the same toolkits: what Python compiles of them is kept.
 unset PYTHONDONTWRITEBYTECODE
-# Processes test side by side. Threads of BLAS would only take their time, waiting for work.
+# Two processes test side by side. Threads of BLAS would only take their time, waiting for work.
 export OPENBLAS_NUM_THREADS="${OPENBLAS_NUM_THREADS:-1}"
 
 WHOLE="tests/engine/run/test_bits.py"
@@ -66,12 +66,12 @@ if [ $# -gt 0 ]; then
 fi
 told="$(mktemp)" failed=0
 trap 'rm "$told"' EXIT
-# Three processes keep two cores busy, as some tests wait for others.  Tests that stand together run
-# in the same process, which imports their toolkits once.  Types are checked beside them.
+# Types are checked beside the tests, some of which wait for others.  Tests that stand together run
+# in the same process, which imports their toolkits once.
 python -m mypy >"$told" 2>&1 &
 beside=$!
 echo "== pytest"
-python -m pytest -n 3 --dist worksteal || failed=1
+python -m pytest -n 2 --dist worksteal || failed=1
 echo "== mypy"
 wait $beside || failed=1
 cat "$told"
