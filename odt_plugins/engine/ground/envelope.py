@@ -229,7 +229,7 @@ def one_sided(
     upper bound is what is left. Then needles are cut across as well, and the better bounds count.
     """
     found = _searched(reference, points, triangles, tolerance, False)
-    if found.upper > found.lower + tolerance:
+    if found.upper > found.lower + tolerance and _needles(_squared_sides(points, triangles)).any():
         again = _searched(reference, points, triangles, tolerance, True)
         found = OneSided(min(found.upper, again.upper), max(found.lower, again.lower))
     return found
@@ -275,26 +275,37 @@ def _searched(
     return OneSided(max(upper, lower), lower)
 
 
+def _squared_sides(points: FloatArray, triangles: IntArray) -> FloatArray:
+    """Squares of the sides (m, 3), each in the place of the corner across."""
+    x = points[triangles]
+    return np.asarray(((x[:, [1, 2, 0]] - x[:, [2, 0, 1]]) ** 2).sum(axis=2))
+
+
+def _needles(squares: FloatArray) -> BoolArray:
+    """Mark the triangles (m,) with a side less than half as long as another."""
+    return np.asarray(squares.min(axis=1) < 0.25 * squares.max(axis=1))
+
+
 def _cut(
     points: FloatArray, triangles: IntArray, across: bool
 ) -> tuple[FloatArray, IntArray]:
-    """Cut every triangle into four, with points of its own; lines (a, b, b) into two.
+    """Cut every triangle into four, with points of its own, and lines (a, b, b) into two.
 
-    Needles have a side less than half as long as another. They are cut ``across`` the longest into
-    two, as four parts would be as thin, and many more than the places that are left to look at.
+    ``across``: needles are cut into two as well, across the longest side. Four parts would be as
+    thin, and many more than the places that are left to look at.
     """
     m = len(triangles)
-    x = points[triangles]
-    squares = ((x[:, [1, 2, 0]] - x[:, [2, 0, 1]]) ** 2).sum(axis=2)
-    thin = squares.min(axis=1) < (0.25 if across else 1e-300) * squares.max(axis=1)
+    x, squares = points[triangles], _squared_sides(points, triangles)
+    line = (squares.min(axis=1) == 0.0) & (squares.max(axis=1) > 0.0)
+    thin = line | _needles(squares) if across else line
     turn = (np.where(thin, np.argmax(squares, axis=1), 0)[:, None] + [0, 1, 2]) % 3
     a, b, c = (x[np.arange(m), turn[:, i]] for i in range(3))
     split = np.stack([a, b, c, 0.5 * (b + c), 0.5 * (c + a), 0.5 * (a + b)], axis=1)
     rows = np.array([[0, 5, 4], [1, 3, 5], [2, 4, 3], [3, 4, 5]], dtype=np.int32)
     first = 6 * np.arange(m, dtype=np.int32)[:, None, None]
     two = np.array([[0, 1, 3], [0, 3, 2]], dtype=np.int32)
-    line = squares.min(axis=1)[thin, None, None] == 0.0
-    halves = first[thin] + np.where(line, np.array([[0, 1, 3], [3, 3, 2]], dtype=np.int32), two)
+    ends = np.array([[0, 1, 3], [3, 3, 2]], dtype=np.int32)
+    halves = first[thin] + np.where(line[thin, None, None], ends, two)
     cells = (first[~thin] + rows).reshape(-1, 3)
     return split.reshape(-1, 3), np.concatenate([cells, halves.reshape(-1, 3)])
 

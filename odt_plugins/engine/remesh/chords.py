@@ -17,7 +17,7 @@ from odt_plugins.engine.ground.sheet import LINE
 from odt_plugins.engine.remesh.lay_out import surface_of
 from odt_plugins.engine.remesh.sizes import FINER, Sizes, local_sizes
 from odt_plugins.engine.surface.curvature import AVERAGES, vertex_curvature
-from odt_plugins.engine.topology.star import vertex_stars
+from odt_plugins.engine.topology.star import star_sum, vertex_stars
 from odt_plugins.errors import counted
 from odt_plugins.mesh.arrays import FloatArray
 from odt_plugins.mesh.simplex import SimplexMesh, diagonal
@@ -70,17 +70,16 @@ def _own_sizes(mesh: SimplexMesh) -> tuple[FloatArray, FloatArray]:
     sides = x - x[:, [1, 2, 0]]
     squares = (sides * sides).sum(axis=2)
     along = -(sides * sides[:, [2, 0, 1]]).sum(axis=2)
-    double = np.sqrt(np.maximum(squares[:, 0] * squares[:, 1] - along[:, 1] * along[:, 1], 0.0))
-    n, corners = len(mesh.points), mesh.cells.ravel()
-    least = _ratio(double, np.sqrt(squares.max(axis=1)))
-    total = np.bincount(corners, np.repeat(least, 3), n)
-    count = np.bincount(corners, minlength=n)
+    normal = np.cross(sides[:, 0], sides[:, 1])
+    double = np.sqrt((normal * normal).sum(axis=1))[:, None]
+    n = len(mesh.points)
+    count = np.bincount(mesh.cells.ravel(), minlength=n)
+    total = star_sum(_ratio(double[:, 0], np.sqrt(squares.max(axis=1))), mesh.cells, n)
     altitude = np.divide(total, count, out=np.full(n, np.inf), where=count > 0)
-    sine = _ratio(double[:, None], np.sqrt(squares * squares[:, [2, 0, 1]]))
+    corner = np.minimum(2.0 * _ratio(double, np.sqrt(squares * squares[:, [2, 0, 1]])), 1.0)
     widest = np.where(count > 0, NARROWEST, 1.0)
-    np.maximum.at(widest, corners, np.where(along > 0.0, np.minimum(2.0 * sine, 1.0), 1.0).ravel())
-    normal = np.cross(sides[:, 0], sides[:, 1]) * _ratio(np.ones(len(double)), double)[:, None]
-    mean = np.stack([np.bincount(corners, np.repeat(axis, 3), n) for axis in normal.T], axis=1)
+    np.maximum.at(widest, mesh.cells, np.where(along > 0.0, corner, 1.0))
+    mean = star_sum(_ratio(normal, np.repeat(double, 3, axis=1)), mesh.cells, n)
     width = np.where((mean * mean).sum(axis=1) < PLANE * count * count, widest, 1.0)
     return np.minimum(own, THIN * altitude * width * width), width
 

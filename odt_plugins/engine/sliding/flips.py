@@ -130,7 +130,7 @@ def _all_afford(volume: FloatArray, change: float, a: int, b: int, x: int, y: in
     after = abs(volume[0, 0] + change)
     if after > volume[0, 1] and after > abs(volume[0, 0]):
         return False
-    for v in (np.int64(a), np.int64(b), np.int64(x), np.int64(y)):
+    for v in (a, b, x, y):
         if not affordable(volume, 0.25 * change, v):
             return False
     return True
