@@ -3,7 +3,7 @@
 HDF5 needs that: a file that it could not write to its end, because the disk is full, stays half
 open, and crashes the process when its handle is collected, or at its exit; and it reads some
 damaged files for ever, while no other thread runs. VTK and HDF5 need most of a second to start:
-what reads stays for the next file, that of HDF5 until a file is damaged.
+the process stays for the next file, that of HDF5 until a file cannot be read or written.
 """
 
 from __future__ import annotations
@@ -135,32 +135,6 @@ def _message(stream: Any) -> bytes | None:
     return body if len(body) == size else None
 
 
-def call(function: Callable[..., Any], *arguments: Any, seconds: float | None = None) -> Any:
-    """Call a function of a module in a process of its own.
-
-    Parameters
-    ----------
-    function : callable
-    *arguments : anything        that pickle takes
-    seconds : float, optional    after which the process is ended
-
-    Returns
-    -------
-    what the function returns
-
-    Raises
-    ------
-    TimeoutError            it was not done
-    ChildProcessError       the process ended without an answer
-    Exception               what the function raises, or the collection of what it left
-    """
-    process = _Process()
-    try:
-        return process.ask(function, arguments, seconds)
-    finally:
-        process.end()
-
-
 @functools.cache
 def _staying() -> dict[tuple[str, ...], _Process]:
     """The processes that stay, until the end of this one, by what they import beforehand."""
@@ -194,12 +168,29 @@ def make_ready_for(paths: Iterable[str]) -> None:
             _ready(BEFOREHAND)
 
 
-def call_again(function: Callable[..., Any], *arguments: Any, seconds: float | None = None,
-               modules: tuple[str, ...] = BEFOREHAND) -> Any:
-    """As :func:`call`, in a process that stays for the next such call, until this one ends.
+def call(function: Callable[..., Any], *arguments: Any, seconds: float | None = None,
+         modules: tuple[str, ...] = BEFOREHAND) -> Any:
+    """Call a function of a module in a process that stays for the next call, until this one ends.
 
-    It stays in the folder in which it began: the arguments name files from the root. Without
-    modules to import beforehand it ends when the function fails, too.
+    It stays in the folder in which it began: the arguments name files from the root.
+
+    Parameters
+    ----------
+    function : callable
+    *arguments : anything        that pickle takes
+    seconds : float, optional    after which the process is ended
+    modules : tuple of str       what it imports beforehand; without any, it ends when the function
+                                 fails, too
+
+    Returns
+    -------
+    what the function returns
+
+    Raises
+    ------
+    TimeoutError            it was not done
+    ChildProcessError       the process ended without an answer
+    Exception               what the function raises, or the collection of what it left
     """
     with KEPT:
         process = _ready(modules)

@@ -375,11 +375,9 @@ def _write_and_compare(
     try:
         fit, lost = fitted(mesh, name)
         if name in apart.VTK and apart.vtk_installed():
-            back, differs = apart.call_again(
-                vtk_files.write_and_read, path.absolute(), fit, name, binary)
+            back, differs = apart.call(vtk_files.write_and_read, path.absolute(), fit, name, binary)
         else:
-            heard = partial(apart.call, _write_heard) if name in apart.HDF5 else _write_heard
-            said = heard(path, fit, name, binary)
+            said = _alone(_write_heard, name)(path.absolute(), fit, name, binary)
             back, _, _ = _read_as(path, _formats(path))
     except MissingDependencyError:
         raise
@@ -433,8 +431,8 @@ def _rewritten(
                 size for _, size in blocks] != [len(rows) for rows in origin.cells]:
             msg = "the mesh has other blocks of cells than the file that was read"
             raise NotRewritable(msg)
-        lost = _in_its_place(origin.format)(
-            origin.path, path, Change(before, mesh, origin.points, origin.cells))
+        lost = _alone(REWRITERS[origin.format], origin.format)(
+            origin.path, path.absolute(), Change(before, mesh, origin.points, origin.cells))
         back, _ = reading.read(path, origin.format)
     except NotRewritable as exc:
         said = f"written anew, with what the format's writer keeps: {exc}"
@@ -448,9 +446,9 @@ def _rewritten(
     return lost + not_kept(mesh, back), []
 
 
-def _in_its_place(name: str) -> Callable[..., list[str]]:
-    """The rewriter of a format, in a process of its own where HDF5 writes it."""
-    return partial(apart.call, REWRITERS[name]) if name in apart.HDF5 else REWRITERS[name]
+def _alone(writer: Callable[..., list[str]], name: str) -> Callable[..., list[str]]:
+    """A writer of a format, in a process of its own where HDF5 writes it."""
+    return partial(apart.call, writer, modules=()) if name in apart.HDF5 else writer
 
 
 def _write_heard(path: Path, mesh: Any, name: str, binary: bool | None) -> list[str]:

@@ -114,7 +114,7 @@ def _read_vtk(path: Path, name: str, seconds: float) -> tuple[Any, list[str]]:
     """Read a file by VTK; what VTK does not read, meshio may: that is said."""
     try:
         mesh, said = vtk_files.as_mesh(
-            apart.call_again(vtk_files.read, path.absolute(), name, seconds=seconds))
+            apart.call(vtk_files.read, path.absolute(), name, seconds=seconds))
     except (TimeoutError, InvalidMeshError):
         raise
     # VTK refuses, or has crashed.
@@ -148,14 +148,13 @@ def _read_meshio(path: Path, name: str, seconds: float) -> tuple[Any, list[str]]
         old = name == "gmsh" and re.match(rb"\$MeshFormat\s+4(\.0)?\s", path.read_bytes()[:40])
         if not (old or re.search(unknown, str(exc))) or not there():
             raise
-        return apart.call_again(reader, path.absolute(), seconds=seconds,
-                                modules=(reader.__module__,)), []
+        return apart.call(reader, path.absolute(), seconds=seconds,
+                          modules=(reader.__module__,)), []
 
 
 def _read_alone(path: Path, name: str, seconds: float) -> tuple[Any, list[str]]:
     if name in apart.HDF5:
-        mesh, said = apart.call_again(
-            _read_heard, path.absolute(), name, seconds=seconds, modules=())
+        mesh, said = apart.call(_read_heard, path.absolute(), name, seconds=seconds, modules=())
     else:
         with remarks() as said:
             mesh = within(seconds, lambda: _read(path, name))

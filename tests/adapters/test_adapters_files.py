@@ -12,7 +12,7 @@ import contract
 import meshio
 import numpy as np
 import pytest
-from processes import full_disk
+from processes import end_hdf5, full_disk
 
 import odt_plugins
 from odt_plugins.adapters import files
@@ -248,6 +248,7 @@ import os, resource, sys, warnings
 import meshio, numpy as np
 from odt_plugins.adapters import files
 from odt_plugins.errors import MeshFileError
+from processes import end_hdf5
 warnings.simplefilter("ignore")
 with np.load(sys.argv[1]) as grid:
     mesh = meshio.Mesh(grid["points"], [("tetra", grid["cells"])])
@@ -264,6 +265,7 @@ for name in sys.argv[2:]:
     again = files.read_file(name)
     print(len(again.points))
     again.points[0] += 1e-3
+    end_hdf5()
     resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, resource.RLIM_INFINITY))
     try:
         files.write_file("again" + name, again)
@@ -297,6 +299,7 @@ def test_a_full_disk_leaves_the_old_file_and_no_open_handle(tmp_path, tmp_path_f
 
 
 def test_a_writer_that_dies_is_an_error(tmp_path, monkeypatch):
+    end_hdf5()
     (tmp_path / "h5py.py").write_text("import os\nos.kill(os.getpid(), 9)\n")
     monkeypatch.syspath_prepend(tmp_path)
     (tmp_path / "out").mkdir()
@@ -351,6 +354,7 @@ def test_formats_of_two_files_are_written_whole(tmp_path):
 
 
 def test_formats_that_need_another_package_name_it(tmp_path, monkeypatch):
+    end_hdf5()
     (tmp_path / "h5py.py").write_text("raise ModuleNotFoundError(name='h5py')\n")
     monkeypatch.syspath_prepend(tmp_path)
     (tmp_path / "out").mkdir()

@@ -182,31 +182,30 @@ def test_a_reader_that_does_not_end_is_broken_off(main, tmp_path, monkeypatch):
 
 def test_work_that_lets_no_other_thread_run_is_ended():
     with pytest.raises(TimeoutError):
-        apart.call(re.match, "(a+)+$", 64 * "a" + "b", seconds=1.0)
-    assert apart.call(divmod, 7, 2) == (3, 1)
+        apart.call(re.match, "(a+)+$", 64 * "a" + "b", seconds=1.0, modules=())
+    assert apart.call(divmod, 7, 2, modules=()) == (3, 1)
     with pytest.raises(ZeroDivisionError):
-        apart.call(divmod, 7, 0)
+        apart.call(divmod, 7, 0, modules=())
 
 
 def test_a_process_that_stays_is_the_same_until_it_crashes():
-    first = apart.call_again(os.getpid)
+    first = apart.call(os.getpid)
     with pytest.raises(ZeroDivisionError):
-        apart.call_again(divmod, 7, 0)
-    assert apart.call_again(os.getpid) == first != os.getpid()
+        apart.call(divmod, 7, 0)
+    assert apart.call(os.getpid) == first != os.getpid()
     with pytest.raises(ChildProcessError, match="SIGABRT"):
-        apart.call_again(os.abort)
+        apart.call(os.abort)
     with pytest.raises(TimeoutError):
-        apart.call_again(re.match, "(a+)+$", 64 * "a" + "b", seconds=1.0)
-    assert apart.call_again(os.getpid) != first
-    assert apart.call(os.getpid) != apart.call_again(os.getpid)
+        apart.call(re.match, "(a+)+$", 64 * "a" + "b", seconds=1.0)
+    assert apart.call(os.getpid) != first
 
 
 def test_a_process_for_hdf5_is_another_one_and_ends_when_a_task_fails():
-    first = apart.call_again(os.getpid, modules=())
-    assert apart.call_again(os.getpid, modules=()) == first != apart.call_again(os.getpid)
+    first = apart.call(os.getpid, modules=())
+    assert apart.call(os.getpid, modules=()) == first != apart.call(os.getpid)
     with pytest.raises(ZeroDivisionError):
-        apart.call_again(divmod, 7, 0, modules=())
-    assert apart.call_again(os.getpid, modules=()) != first
+        apart.call(divmod, 7, 0, modules=())
+    assert apart.call(os.getpid, modules=()) != first
 
 
 def test_vtk_is_loaded_beforehand_where_a_file_will_need_it(monkeypatch):
@@ -242,8 +241,8 @@ def test_the_process_that_stays_keeps_nothing_of_what_a_task_made():
             "for x in gc.get_objects())][1])(__import__('gc'))")
     for number in range(3):
         with pytest.raises(Holding, match=str(number)):
-            apart.call_again(_fail_with, number)
-    assert apart.call_again(eval, held) == 0
+            apart.call(_fail_with, number)
+    assert apart.call(eval, held) == 0
 
 
 def test_an_hdf5_file_that_is_read_for_ever_is_broken_off(tmp_path, monkeypatch):
