@@ -15,13 +15,17 @@ from odt_plugins.engine.ground.features import (
 )
 from odt_plugins.engine.ground.sheet import LINE
 from odt_plugins.engine.remesh.lay_out import surface_of
-from odt_plugins.engine.remesh.sizes import FINER, Sizes, local_sizes
+from odt_plugins.engine.remesh.resolve import resolved
+from odt_plugins.engine.remesh.sizes import FINER, Sizes, local_sizes, wanted_sizes
+from odt_plugins.engine.remesh.wish import Wish
+from odt_plugins.engine.run.judge import envelope_length
 from odt_plugins.engine.surface.curvature import AVERAGES, vertex_curvature
 from odt_plugins.engine.topology.star import star_sum, vertex_stars
 from odt_plugins.errors import counted
 from odt_plugins.mesh.arrays import FloatArray
 from odt_plugins.mesh.simplex import SimplexMesh, diagonal
 from odt_plugins.mesh.surface import disagreeing_edges, surface_edges
+from odt_plugins.options import Options
 
 PART = 0.5
 """Part of the envelope for the height of an edge of its size; longer edges and the finishing have
@@ -41,6 +45,29 @@ PLANE = 1.0 - 1e-9
 
 LONGEST = 0.1
 """Largest size, as a part of the diagonal, where nothing is curved."""
+
+
+def sizes_as_wished(mesh: SimplexMesh, options: Options, wish: Wish) -> tuple[SimplexMesh, Sizes]:
+    """Sizes that are asked for, and the mesh at whose vertices they are.
+
+    Those of a surface are as long as the envelope allows; it has more vertices where it needs them,
+    see :func:`..remesh.resolve.resolved`.
+    """
+    surface = mesh.is_surface and not len(mesh.metric)
+    length, angle = envelope_length(mesh, options), options.feature_angle
+    given = curvature_sizes(mesh, length, angle) if wish.curved else options.density
+    sizes = wanted_sizes(mesh, wish, given)
+    if not surface:
+        return mesh, sizes
+    most = given if wish.curved else longest_sizes(mesh, length, angle)
+    if not wish.curved:
+        sizes = within_chords(mesh, sizes, most)
+    if options.boundary == "fixed":
+        return mesh, sizes
+    if wish.curved:
+        longest = LONGEST * diagonal(mesh.points[np.unique(mesh.cells)])
+        sizes = replace(sizes, asked=np.maximum(most, longest))
+    return resolved(mesh, sizes, most, given if wish.given and callable(given) else None)
 
 
 def curvature_sizes(mesh: SimplexMesh, envelope: float, angle: float) -> FloatArray:
@@ -89,13 +116,19 @@ def _ratio(above: FloatArray, below: FloatArray) -> FloatArray:
     return np.divide(above, below, out=np.zeros(below.shape), where=below > 0.0)
 
 
-def within_chords(mesh: SimplexMesh, sizes: Sizes, envelope: float, angle: float) -> Sizes:
-    """Sizes of a surface no longer than MOST times its :func:`chords`, or than those of the input.
+def longest_sizes(mesh: SimplexMesh, envelope: float, angle: float) -> FloatArray:
+    """Sizes (n,) of a surface up to which edges come in all directions.
 
-    Longer edges would come in the direction alone in which the surface is less curved.
+    MOST times its :func:`chords`, or those of the input, or twice the envelope: longer edges would
+    come in the direction alone in which the surface is less curved.
     """
     own, width = _own_sizes(mesh)
-    most = np.maximum(MOST * width * chords(mesh, envelope, angle), np.maximum(own, 2.0 * envelope))
+    most = MOST * width * chords(mesh, envelope, angle)
+    return np.maximum(most, np.maximum(own, 2.0 * envelope))
+
+
+def within_chords(mesh: SimplexMesh, sizes: Sizes, most: FloatArray) -> Sizes:
+    """Sizes of a surface no longer than ``most`` (n,), see :func:`longest_sizes`; says where."""
     used = np.unique(mesh.cells)
     finer = used[sizes.values[used] > FINER * most[used]]
     if not len(finer):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import replace
 from functools import partial
@@ -18,7 +19,7 @@ from odt_plugins.engine.record.figures import Figures, cell_shapes, figures
 from odt_plugins.engine.record.memory import State
 from odt_plugins.engine.record.relaxed import relaxed
 from odt_plugins.engine.remesh.body import FREELY, STAYS, STIFF
-from odt_plugins.engine.remesh.chords import curvature_sizes, within_chords
+from odt_plugins.engine.remesh.chords import sizes_as_wished
 from odt_plugins.engine.remesh.distance import CUT, beyond, furthest
 from odt_plugins.engine.remesh.finish import MORE, Resized, Room, finished, sums
 from odt_plugins.engine.remesh.lay_out import lay_out, surface_of
@@ -26,10 +27,10 @@ from odt_plugins.engine.remesh.sizes import (
     FINER,
     Sizes,
     expected_cells,
+    factor_for,
     lengths_of,
     local_sizes,
     unique_edges,
-    wanted_sizes,
 )
 from odt_plugins.engine.remesh.volume import Resizing, arrays_of, resize
 from odt_plugins.engine.remesh.wish import Wish
@@ -113,13 +114,7 @@ def remesh(mesh: SimplexMesh, options: Options, leaving: Leaving, wish: Wish) ->
     -------
     Outcome               a mesh that keeps the promise as it leaves, at worst the input itself
     """
-    given = options.density
-    if wish.curved:
-        given = curvature_sizes(mesh, envelope_length(mesh, options), options.feature_angle)
-    sizes = wanted_sizes(mesh, wish, given)
-    if mesh.is_surface and not wish.curved and not len(mesh.metric):
-        sizes = within_chords(
-            mesh, sizes, envelope_length(mesh, options), options.feature_angle)
+    base, sizes = sizes_as_wished(mesh, options, wish)
     options = replace(
         options, density="keep", smoothing=replace(options.smoothing, exponent=None), insert=False)
     if mesh.frozen.all() or not len(mesh.cells):
@@ -127,20 +122,25 @@ def remesh(mesh: SimplexMesh, options: Options, leaving: Leaving, wish: Wish) ->
 
     def tries(sizes: Sizes, room: Room) -> Outcome:
         if mesh.dim == 2:
-            return _triangles(mesh, sizes, options, leaving)
+            return _triangles(mesh, base, sizes, options, leaving)
         return _tries(mesh, sizes, options, leaving, room, slides=options.boundary == "slide")
 
     outcome = tries(sizes, lambda _: MORE)
     goal = wish.cells if wish.vertices is None else wish.vertices
     if goal is not None:
-        scaled, other = sizes, outcome
-        for _ in range(CORRECTIONS):
-            if other.origin is None or _off(outcome, wish, goal) <= NEAR:
+        factor, counts = 1.0, {1.0: _count(outcome, wish)} if outcome.origin is not None else {}
+        for _ in range(CORRECTIONS if counts else 0):
+            if _off(outcome, wish, goal) <= NEAR:
                 break
-            scaled = scaled.scaled((_count(other, wish) / goal) ** (1.0 / mesh.dim))
-            other = tries(scaled, lambda found: min(MORE, goal / _count(found, wish) - 1.0))
-            if other.origin is not None and _off(other, wish, goal) < _off(outcome, wish, goal):
-                outcome = other
+            nearest = min(counts, key=lambda known: abs(counts[known] - goal))
+            factor = (factor_for(counts, goal, mesh.dim) if factor in counts
+                      else math.sqrt(factor * nearest))
+            other = tries(sizes.scaled(factor), lambda found: min(
+                MORE, goal / _count(found, wish) - 1.0))
+            if other.origin is not None:
+                counts[factor] = _count(other, wish)
+                if _off(other, wish, goal) < _off(outcome, wish, goal):
+                    outcome = other
         if _off(outcome, wish, goal) > NEAR:
             what = "vertices" if wish.cells is None else "cells"
             note = (f"{_count(outcome, wish)} {what} are as near to the {goal} asked for as the "
@@ -149,7 +149,7 @@ def remesh(mesh: SimplexMesh, options: Options, leaving: Leaving, wish: Wish) ->
     return replace(outcome, notes=sizes.notes + outcome.notes)
 
 
-NEAR, CORRECTIONS = 0.03, 2
+NEAR, CORRECTIONS = 0.03, 4
 """Sizes are corrected while the number of cells or vertices is off by more than this part, at most
 so often; the nearest result is taken."""
 
@@ -164,7 +164,9 @@ def _off(outcome: Outcome, wish: Wish, goal: int) -> float:
     return abs(_count(outcome, wish) / goal - 1.0)
 
 
-def _triangles(mesh: SimplexMesh, sizes: Sizes, options: Options, leaving: Leaving) -> Outcome:
+def _triangles(
+    mesh: SimplexMesh, base: SimplexMesh, sizes: Sizes, options: Options, leaving: Leaving
+) -> Outcome:
     """Resize triangles; where much of the input stays for the promise's sake, also to sizes nearer
     to those of the input: the coarsest result.
     """
@@ -173,7 +175,7 @@ def _triangles(mesh: SimplexMesh, sizes: Sizes, options: Options, leaving: Leavi
     for _ in range(ATTEMPTS):
         if wanted is None:
             break
-        outcome = retile(mesh, wanted.values, options, leaving, _crowded(mesh, wanted))
+        outcome = retile(mesh, wanted.values, options, leaving, _crowded(mesh, wanted), base)
         if why is None and outcome.fallback is None:
             return outcome
         if why is None or (outcome.origin is not None and (
@@ -184,7 +186,7 @@ def _triangles(mesh: SimplexMesh, sizes: Sizes, options: Options, leaving: Leavi
         why = why or outcome.fallback
         if outcome.fallback is None or _stays(mesh, outcome) <= MOST_HELD:
             break
-        wanted = _nearer(mesh, wanted, np.zeros(len(mesh.cells), dtype=np.bool_))
+        wanted = _nearer(base, wanted, np.zeros(len(base.cells), dtype=np.bool_))
     return best
 
 

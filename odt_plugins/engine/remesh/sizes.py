@@ -11,7 +11,7 @@ import numpy as np
 from odt_plugins.engine.cells.elementary import exp, log, power
 from odt_plugins.engine.cells.geometry import signed_volumes
 from odt_plugins.engine.odt.density import smooth_over_stars
-from odt_plugins.engine.remesh.wish import GROWTH, Wish
+from odt_plugins.engine.remesh.wish import Wish
 from odt_plugins.engine.topology.star import star_sum
 from odt_plugins.errors import InvalidOptionError
 from odt_plugins.mesh.arrays import FloatArray, IntArray
@@ -41,16 +41,18 @@ class Sizes:
     cells : float               about how many cells they make
     notes : tuple of str        what was changed of what was asked for
     growth : float              see Wish
+    asked : (n,) float64        lengths that were asked for, however they grow
     """
 
     values: FloatArray
     cells: float
     notes: tuple[str, ...]
-    growth: float = GROWTH
+    growth: float
+    asked: FloatArray
 
     def scaled(self, factor: float) -> Sizes:
         """All lengths so many times as long."""
-        return replace(self, values=factor * self.values)
+        return replace(self, values=factor * self.values, asked=factor * self.asked)
 
     def below(self, mesh: SimplexMesh, most: FloatArray) -> Sizes:
         """The largest sizes that are no longer than ``most`` (n,) and grow as they may."""
@@ -116,7 +118,7 @@ def wanted_sizes(mesh: SimplexMesh, wish: Wish, given: Any = None) -> Sizes:
         msg = (f"got sizes for about {count:.3g} cells; expected at most most_cells="
                f"{wish.most_cells}, try larger sizes or a larger most_cells=")
         raise InvalidOptionError(msg)
-    return Sizes(limited, count, tuple(notes), wish.growth)
+    return Sizes(limited, count, tuple(notes), wish.growth, values)
 
 
 def expected_cells(mesh: SimplexMesh, values: FloatArray) -> float:
@@ -210,30 +212,53 @@ def grown(
 
 def _as_given(mesh: SimplexMesh, given: Any, used: IntArray) -> FloatArray:
     """Lengths at the vertices from an array or a callable."""
+    if callable(given):
+        out = np.ones(len(mesh.points))
+        out[used] = lengths_at(given, mesh.points, used)
+        return out
     n, m = len(mesh.points), len(mesh.cells)
-    raw = given(mesh.points.copy()) if callable(given) else given
+    values = _numbers(given)
+    if values.shape == (m,) and m != n:
+        _check_positive(values)
+        count = star_sum(np.ones(m), mesh.cells, n)
+        total = star_sum(values, mesh.cells, n)
+        values = np.divide(total, count, out=np.ones(n), where=count > 0)
+    _check_shape(values, n, f", or ({m},), one for each cell")
+    out = np.ones(n)
+    _check_positive(values[used], used)
+    out[used] = values[used]
+    return out
+
+
+def lengths_at(given: Any, points: FloatArray, used: IntArray) -> FloatArray:
+    """Lengths (k,) that a callable gives at those of the points (n, d) with the index ``used``.
+
+    Raises
+    ------
+    InvalidOptionError    they are not finite and positive, or of another number
+    """
+    values = _numbers(given(points.copy()))
+    _check_shape(values, len(points), "")
+    _check_positive(values[used], used)
+    return values[used]
+
+
+def _numbers(raw: Any) -> FloatArray:
     try:
         found = np.asarray(raw)
         if found.dtype.kind in "bcmM":
             msg = f"they are of type {found.dtype}"
             raise TypeError(msg)
-        values = found.astype(np.float64)
+        return found.astype(np.float64)
     except (TypeError, ValueError) as exc:
         msg = f"got sizes that are no real numbers: {exc}; expected lengths, try a number"
         raise InvalidOptionError(msg) from exc
-    if values.shape == (m,) and m != n and not callable(given):
-        _check_positive(values)
-        count = star_sum(np.ones(m), mesh.cells, n)
-        total = star_sum(values, mesh.cells, n)
-        values = np.divide(total, count, out=np.ones(n), where=count > 0)
+
+
+def _check_shape(values: FloatArray, n: int, more: str) -> None:
     if values.shape != (n,):
-        more = "" if callable(given) else f", or ({m},), one for each cell"
         msg = f"got sizes of shape {values.shape}; expected ({n},), one for each vertex{more}"
         raise InvalidOptionError(msg)
-    out = np.ones(n)
-    _check_positive(values[used], used)
-    out[used] = values[used]
-    return out
 
 
 def _check_positive(values: FloatArray, index: IntArray | None = None) -> None:
@@ -243,3 +268,17 @@ def _check_positive(values: FloatArray, index: IntArray | None = None) -> None:
         msg = (f"got size {values[bad[0]]} at index {at} ({bad.size} of them); expected finite "
                f"lengths above 0, try a number")
         raise InvalidOptionError(msg)
+
+
+def factor_for(counts: dict[float, int], goal: int, dim: int) -> float:
+    """Factor on the sizes for a number of cells, which falls by their power, from those known.
+
+    Between the nearest ones above and below by interpolation of 1 / number^(1 / dim).
+    """
+    length = {(goal / count) ** (1.0 / dim): factor for factor, count in counts.items()}
+    below, above = [x for x in length if x <= 1.0], [x for x in length if x > 1.0]
+    if not (below and above):
+        nearest = max(below) if below else min(above)
+        return length[nearest] / nearest
+    low, high = max(below), min(above)
+    return length[low] + (length[high] - length[low]) * (1.0 - low) / (high - low)

@@ -69,17 +69,18 @@ class Judged(NamedTuple):
 
 def retile(
     mesh: SimplexMesh, sizes: FloatArray, options: Options, leaving: Leaving,
-    most: float = math.inf,
+    most: float = math.inf, base: SimplexMesh | None = None,
 ) -> Outcome:
     """Give triangles in the plane or in space other sizes.
 
     Parameters
     ----------
     mesh : SimplexMesh
-    sizes : (n,) float64     length that edges are to have at the vertices
+    sizes : (n,) float64     length that edges are to have at the vertices, of the base if given
     options : Options        `envelope`, `feature_angle`, `boundary` and `keep` count
     leaving : callable       applied to every mesh before it is judged
     most : float             triangles from which on no edges are split, and none is resized anew
+    base : SimplexMesh       the mesh with more vertices, behind its own, as it is to be resized
 
     Returns
     -------
@@ -89,9 +90,10 @@ def retile(
         return leaving(unchanged(mesh, "no triangle may change"))
     clock = time.perf_counter()
     length = options.envelope * diagonal(mesh.points[np.unique(mesh.cells)])
-    part = np.ones(len(mesh.cells))
-    held = mesh
-    old = make_reference(in_space(mesh.points), mesh.cells)
+    base = mesh if base is None else base
+    part = np.ones(len(base.cells))
+    held = base
+    old = make_reference(in_space(base.points), base.cells)
     bounds = _bounds(mesh, tuple(options.keep))
     before: list[str] = []
     made = 0
@@ -102,8 +104,7 @@ def retile(
         frame = start.frame
         reach = POLICY.surface_guard * (length - mesh.sag) * frame.scale * part[frame.active]
         unit = 1.0 if len(mesh.metric) else frame.scale
-        base = _base(start, options)
-        net, marks = resize(base, sizes[frame.vertices] * unit, reach, bounds,
+        net, marks = resize(_base(start, options), sizes[frame.vertices] * unit, reach, bounds,
                      feature_angle=options.feature_angle, most=most)
         n, m = net.count[0], net.count[1]
         points = np.ascontiguousarray(net.points[:n, _columns(mesh)])
@@ -113,8 +114,9 @@ def retile(
         if placed.origin is None:
             placed = replace(placed, origin=np.arange(len(placed.points)))
         origin: Any = placed.origin
-        placed = replace(placed, faces=(_lines_of(mesh, start, marks, net, origin), mesh.faces[1]))
-        outcome = leaving(placed)
+        faces = _lines_of(held, start, marks, net, origin), mesh.faces[1]
+        origin = np.where(origin < len(mesh.points), origin, -1)
+        outcome = leaving(replace(placed, origin=origin, faces=faces))
         judged = _judged(mesh, outcome, origin, length, options)
         if not judged.broken:
             return _told(outcome, origin, judged, before, clock)
@@ -122,17 +124,18 @@ def retile(
         made += len(net.triangles)
         if not (len(judged.bad) or judged.unlike.any()) or made > most:
             break
-        near = np.zeros(len(mesh.points), dtype=np.bool_)
-        near[mesh.cells[old.closest(in_space(judged.bad))[1]]] = True
-        near[mesh.cells[near[mesh.cells].any(axis=1)]] = True
-        spoiled = near[mesh.cells].any(axis=1)
+        near = np.zeros(len(base.points), dtype=np.bool_)
+        near[base.cells[old.closest(in_space(judged.bad))[1]]] = True
+        near[base.cells[near[base.cells].any(axis=1)]] = True
+        spoiled = near[base.cells].any(axis=1)
         if attempt < NARROWED and mesh.is_surface:
             part[spoiled] *= NARROWER
             continue
+        unlike = np.pad(judged.unlike, (0, len(base.cells) - len(mesh.cells)))
         if attempt < ATTEMPTS - 2:
-            part[judged.unlike] *= NARROWER
+            part[unlike] *= NARROWER
         else:
-            spoiled |= judged.unlike
+            spoiled |= unlike
         held = freeze(held, held.frozen | spoiled)
         if held.frozen.all():
             break

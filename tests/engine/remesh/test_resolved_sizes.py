@@ -1,0 +1,115 @@
+"""Edges along which sizes are not linear: needles, and sides without vertices inside."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import odt_plugins
+from odt_plugins.engine.remesh.resolve import resolved
+from odt_plugins.engine.remesh.sizes import wanted_sizes
+from odt_plugins.engine.remesh.wish import Wish
+from odt_plugins.mesh.surface import surface_edges, surface_mesh
+
+
+def _washer(n, inner, outer):
+    """Needles between two circles."""
+    ring = _ring(n)
+    i, j = np.arange(n), np.roll(np.arange(n), -1)
+    return np.concatenate([inner * ring, outer * ring]), np.concatenate(
+        [np.c_[i, n + j, j], np.c_[i, n + i, n + j]])
+
+
+def _ring(n):
+    around = 2 * np.pi * np.arange(n) / n
+    return np.c_[np.cos(around), np.sin(around), np.zeros(n)]
+
+
+def _punched(n, radius):
+    """A square with a hole, of needles without vertices inside, and the side of the hole."""
+    rim = radius * _ring(n)
+    corners = np.array([[1.0, 1.0, 0.0], [-1.0, 1.0, 0.0], [-1.0, -1.0, 0.0], [1.0, -1.0, 0.0]])
+    quarter = np.arange(n) * 4 // n
+    i, j = np.arange(n), np.roll(np.arange(n), -1)
+    four = np.arange(4)
+    top = np.concatenate([np.c_[i, n + quarter, j],
+                          np.c_[n * four // 4, n + (four - 1) % 4, n + four]])
+    side = np.concatenate([np.c_[i, j, n + 4 + j], np.c_[i, n + 4 + j, n + 4 + i]])
+    return np.concatenate([rim, corners, rim - [0.0, 0.0, radius]]), np.concatenate([top, side])
+
+
+def _box():
+    points = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
+    sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    return points, np.array([t for a, b, c, d in sides for t in ((a, b, c), (a, c, d))])
+
+
+def _area(points, cells):
+    x = points[cells]
+    return 0.5 * np.linalg.norm(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), axis=1)
+
+
+@pytest.mark.parametrize("growth", [1.15, 1.3])
+def test_triangles_of_a_plane_side_grow_away_from_a_small_hole(growth):
+    points, cells = _punched(32, 0.05)
+    (x, t), report = odt_plugins.remesh_with_report(
+        (points, cells), 0.2, growth=growth, envelope=1e-4)
+    away, edges = np.hypot(*x[:, :2].T), np.concatenate([t, np.roll(t, -1, axis=1)])
+    ends = edges[(np.abs(away[edges[:, :2]] - 0.05) < 1e-3).all(axis=1), :2]
+    rim = np.linalg.norm(x[ends[:, 0]] - x[ends[:, 1]], axis=1).mean()
+    at = np.random.default_rng(0).uniform(-1.0, 1.0, (100_000, 2))
+    far = np.hypot(*at.T) - 0.05
+    size = np.minimum(rim + (growth - 1.0) * far[far > 0], 0.2)
+    triangles = 4.0 * (1.0 / (np.sqrt(3) / 4 * size**2)).sum() / len(at)
+    top = (x[t][:, :, 2] > -1e-3).all(axis=1).sum()
+    assert top == pytest.approx(triangles, rel=0.35)
+    assert report.after.min_quality > 0.4
+    assert report.fallback is None
+
+
+def test_a_function_is_asked_between_the_vertices_of_the_input():
+    def size(at):
+        return 0.01 + 0.25 * np.linalg.norm(at - [0.3, 0.3, 1.0], axis=1)
+
+    (x, t), report = odt_plugins.remesh_with_report(_box(), size)
+    length = np.linalg.norm(x[t] - x[np.roll(t, -1, axis=1)], axis=2)
+    ratio = length / size(0.5 * (x[t] + x[np.roll(t, -1, axis=1)]).reshape(-1, 3)).reshape(-1, 3)
+    assert length.min() < 0.015
+    assert ((ratio > 0.71) & (ratio < 1.41)).mean() > 0.9
+    assert report.after.min_quality > 0.5
+
+
+def test_halves_of_edges_are_the_surface_and_lie_where_they_did():
+    points, cells = _washer(12, 0.1, 1.0)
+    label = np.arange(len(cells)) % 3
+    mesh = surface_mesh(points, cells, regions=label, selection=np.arange(len(cells)) != 7)
+    most = np.where(np.arange(24) < 12, 0.01, np.inf)
+    sizes = wanted_sizes(mesh, Wish(length=0.05, growth=1.3)).below(mesh, most)
+    base, found = resolved(mesh, sizes, most)
+    assert len(base.points) > 24
+    assert base.points[:24].tobytes() == mesh.points.tobytes()
+    assert np.array_equal(base.cells[base.frozen], mesh.cells[mesh.frozen])
+    edges = surface_edges(base.cells, len(base.points))
+    assert set(edges.degree.tolist()) == {1, 2}
+    area = _area(base.points, base.cells)
+    assert area.min() > 0.0
+    for k in range(3):
+        assert area[base.regions == k].sum() == pytest.approx(
+            _area(points, cells)[label == k].sum(), rel=1e-12)
+    step = np.linalg.norm(base.points[edges.vertices[:, 0]] - base.points[edges.vertices[:, 1]],
+                          axis=1)
+    ends = found.values[edges.vertices]
+    assert (np.abs(ends[:, 0] - ends[:, 1]) <= 0.3 * step * (1.0 + 1e-9)).all()
+    assert found.values.max() == pytest.approx(0.05)
+
+
+def test_strips_around_a_cylinder_are_no_plane_sides():
+    around = 2 * np.pi * np.arange(64) / 64
+    ring = np.c_[np.cos(around), np.sin(around)]
+    i, j = np.arange(64), np.roll(np.arange(64), -1)
+    mesh = surface_mesh(
+        np.concatenate([np.c_[ring, np.zeros(64)], np.c_[ring, np.full(64, 3.0)]]),
+        np.concatenate([np.c_[i, j, 64 + j], np.c_[i, 64 + j, 64 + i]]))
+    sizes = wanted_sizes(mesh, Wish(length=0.5))
+    base, _ = resolved(mesh, sizes.below(mesh, np.full(128, 0.2)), np.full(128, 0.2))
+    assert base is mesh
