@@ -52,7 +52,8 @@ def remesh(
     size : float, array, str or callable
                               length that edges should have: everywhere, one for each vertex (n,) or
                               cell (m,), the name of a point or cell array of them, or a function
-                              size(points) -> (k,). "curvature": as coarse as `envelope` allows
+                              size(points) -> (k,), asked between the vertices too unless the
+                              boundary is fixed. "curvature": as coarse as `envelope` allows
                               where a surface, an interface or a feature line is curved, and growing
                               from there
     scale : float             instead, a multiple of the local size that the mesh has: 2 is twice as

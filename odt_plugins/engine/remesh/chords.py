@@ -16,7 +16,7 @@ from odt_plugins.engine.ground.features import (
 from odt_plugins.engine.ground.sheet import LINE
 from odt_plugins.engine.remesh.lay_out import surface_of
 from odt_plugins.engine.remesh.resolve import resolved
-from odt_plugins.engine.remesh.sizes import FINER, Sizes, local_sizes, wanted_sizes
+from odt_plugins.engine.remesh.sizes import FINER, Sizes, check_count, local_sizes, wanted_sizes
 from odt_plugins.engine.remesh.wish import Wish
 from odt_plugins.engine.run.judge import envelope_length
 from odt_plugins.engine.surface.curvature import AVERAGES, vertex_curvature
@@ -50,24 +50,28 @@ LONGEST = 0.1
 def sizes_as_wished(mesh: SimplexMesh, options: Options, wish: Wish) -> tuple[SimplexMesh, Sizes]:
     """Sizes that are asked for, and the mesh at whose vertices they are.
 
-    Those of a surface are as long as the envelope allows; it has more vertices where it needs them,
-    see :func:`..remesh.resolve.resolved`.
+    Those of a surface are as long as the envelope allows. The mesh has more vertices where sizes
+    need them, on surfaces and for callables, see :func:`..remesh.resolve.resolved`.
     """
-    surface = mesh.is_surface and not len(mesh.metric)
     length, angle = envelope_length(mesh, options), options.feature_angle
     given = curvature_sizes(mesh, length, angle) if wish.curved else options.density
     sizes = wanted_sizes(mesh, wish, given)
-    if not surface:
+    at = given if wish.given and callable(given) else None
+    most = np.full(len(mesh.points), np.inf)
+    if mesh.is_surface and not len(mesh.metric):
+        most = given if wish.curved else longest_sizes(mesh, length, angle)
+        if wish.curved:
+            longest = LONGEST * diagonal(mesh.points[np.unique(mesh.cells)])
+            sizes = replace(sizes, asked=np.maximum(most, longest))
+        else:
+            sizes = within_chords(mesh, sizes, most)
+    elif at is None:
         return mesh, sizes
-    most = given if wish.curved else longest_sizes(mesh, length, angle)
-    if not wish.curved:
-        sizes = within_chords(mesh, sizes, most)
     if options.boundary == "fixed":
         return mesh, sizes
-    if wish.curved:
-        longest = LONGEST * diagonal(mesh.points[np.unique(mesh.cells)])
-        sizes = replace(sizes, asked=np.maximum(most, longest))
-    return resolved(mesh, sizes, most, given if wish.given and callable(given) else None)
+    base, sizes = resolved(mesh, sizes, most, at, wish.most_cells)
+    check_count(sizes.cells, wish)
+    return base, sizes
 
 
 def curvature_sizes(mesh: SimplexMesh, envelope: float, angle: float) -> FloatArray:

@@ -22,15 +22,13 @@ from odt_plugins.engine.remesh.body import FREELY, STAYS, STIFF
 from odt_plugins.engine.remesh.chords import sizes_as_wished
 from odt_plugins.engine.remesh.distance import CUT, beyond, furthest
 from odt_plugins.engine.remesh.finish import MORE, Resized, Room, finished, sums
-from odt_plugins.engine.remesh.lay_out import lay_out, surface_of
+from odt_plugins.engine.remesh.lay_out import lay_out
+from odt_plugins.engine.remesh.notes import told_of_edges
 from odt_plugins.engine.remesh.sizes import (
-    FINER,
     Sizes,
     expected_cells,
     factor_for,
-    lengths_of,
     local_sizes,
-    unique_edges,
 )
 from odt_plugins.engine.remesh.volume import Resizing, arrays_of, resize
 from odt_plugins.engine.remesh.wish import Wish
@@ -93,8 +91,6 @@ CLOSE = 1.1
 LONGER = 1.11
 """Sizes are worked with so many times as long, so that edges have them on average."""
 
-IN = (0.5**0.5, 2.0**0.5)
-"""Edges whose length is within these multiples of their size have it."""
 
 MOST_UNLIKE = 0.5
 """Part of the whole from which on regions whose volume is another are not small."""
@@ -123,7 +119,7 @@ def remesh(mesh: SimplexMesh, options: Options, leaving: Leaving, wish: Wish) ->
     def tries(sizes: Sizes, room: Room) -> Outcome:
         if mesh.dim == 2:
             return _triangles(mesh, base, sizes, options, leaving)
-        return _tries(mesh, sizes, options, leaving, room, slides=options.boundary == "slide")
+        return _tetrahedra(mesh, base, sizes, options, leaving, room)
 
     outcome = tries(sizes, lambda _: MORE)
     goal = wish.cells if wish.vertices is None else wish.vertices
@@ -201,11 +197,38 @@ def _stays(mesh: SimplexMesh, outcome: Outcome) -> float:
     return float(np.isin(which[:m], which[m:]).mean())
 
 
-def _tries(
-    mesh: SimplexMesh, sizes: Sizes, options: Options, leaving: Leaving, room: Room, *,
-    slides: bool,
+def _tetrahedra(
+    mesh: SimplexMesh, base: SimplexMesh, sizes: Sizes, options: Options, leaving: Leaving,
+    room: Room,
 ) -> Outcome:
-    """Resize until the promise holds.
+    """Resize tetrahedra, with more vertices where sizes need them if the promise holds so."""
+    n = len(mesh.points)
+
+    def own(outcome: Outcome) -> Outcome:
+        origin = np.arange(len(outcome.points)) if outcome.origin is None else outcome.origin
+        return replace(outcome, origin=np.where(origin < n, origin, -1))
+
+    if base is not mesh:
+        found, _ = _tries(base, sizes, options, lambda outcome: leaving(own(outcome)), room)
+        if found is not None:
+            found = own(found)
+            origin: Any = found.origin
+            if not broken_by_remeshing(
+                    mesh, found.points, found.cells, found.regions, origin, tuple(options.keep),
+                    found.metric, found.faces, slides=True, threads=options.threads):
+                return found
+        sizes = replace(sizes, values=sizes.values[:n], asked=sizes.asked[:n])
+    found, why = _tries(mesh, sizes, options, leaving, room)
+    if found is not None:
+        return found
+    outcome = leaving(unchanged(mesh, "no other sizes kept the promise"))
+    return replace(outcome, fallback=f"the input is returned, since {why}")
+
+
+def _tries(
+    mesh: SimplexMesh, sizes: Sizes, options: Options, leaving: Leaving, room: Room
+) -> tuple[Outcome | None, str]:
+    """Resize until the promise holds; None and why where it does not.
 
     Where figures fall, sizes give way to those that the surface has reached, and then to those of
     the input. Where the surface cuts through itself, and around small regions whose volume becomes
@@ -214,6 +237,7 @@ def _tries(
     parts of the envelope, at last with a boundary that stays.
     """
     whys: list[str] = []
+    slides = options.boundary == "slide"
     wanted, relents, narrow = sizes, len(mesh.metric) > 0, np.ones(len(mesh.points))
     for share in (*(SHARES if slides else ()), 0.0):
         held = mesh
@@ -222,7 +246,7 @@ def _tries(
                 held, wanted, sizes.values, options, leaving, share * narrow, room,
                 relents=relents)
             if not broken:
-                return _explained(mesh, held, outcome, whys, slides and share == 0.0)
+                return _explained(mesh, held, outcome, whys, slides and share == 0.0), ""
             whys.append(broken[0])
             spoiled = _spoiled(mesh, outcome, wanted, options)
             falls = _fallen(mesh, outcome, options, few=0.0 < spoiled.mean() <= FEW_SPOILED)
@@ -243,8 +267,7 @@ def _tries(
                     spoiled | held.frozen).mean() > NEARLY_ALL:
                 break
             held = freeze(held, held.frozen | spoiled)
-    outcome = leaving(unchanged(mesh, "no other sizes kept the promise"))
-    return replace(outcome, fallback=f"the input is returned, since {whys[-1]}")
+    return None, whys[-1]
 
 
 def _fallen(mesh: SimplexMesh, outcome: Outcome, options: Options, *, few: bool) -> bool:
@@ -418,7 +441,7 @@ def _once(
     if share > 0.0:
         broken, slid = beyond(mesh, outcome, envelope)
         outcome = replace(outcome, slid=slid)
-    notes = _told(outcome, given.lengths.mean() / LONGER, done.multiple)
+    notes = told_of_edges(outcome, given.lengths.mean() / LONGER, done.multiple)
     return replace(outcome, notes=notes), broken
 
 
@@ -485,33 +508,3 @@ def _resized(
     outcome = replace(outcome, faces=(faces[0], faces[1]))
     lines = number[work.body.segments.rows[work.body.segments.live()]].reshape(-1, 2)
     return Resized(outcome, lengths, outside(multiple, asked / sizes.values), lines), log
-
-
-def _told(outcome: Outcome, unit: float, multiple: FloatArray) -> tuple[str, ...]:
-    """How many edges are as long as they should be, and where those are that are not.
-
-    ``multiple`` (n,) are the sizes that were asked for, as parts of those that were worked with.
-    """
-    if outcome.sizes is None:
-        return ()
-    edges = unique_edges(outcome.cells)
-    asked = unit * outcome.sizes * multiple
-    ratio = lengths_of(outcome.points, edges, outcome.metric) / (0.5 * asked[edges].sum(axis=1))
-    short, long = ratio < IN[0], ratio > IN[1]
-    surface = np.zeros(len(outcome.points), dtype=np.bool_)
-    surface[surface_of(outcome.cells, outcome.regions, outcome.faces[1])[0]] = True
-    there = surface[edges].all(axis=1)
-    notes: tuple[str, ...] = (
-        f"{(~short & ~long).mean():.1%} of the edges are {IN[0]:.2f} to {IN[1]:.2f} times as "
-        f"long as asked for, {ratio.mean():.2f} on average; {short.mean():.1%} are shorter, "
-        f"{(short & there).mean():.1%} between vertices of the surface, and {long.mean():.1%} "
-        f"longer",)
-    finer = np.flatnonzero(multiple > FINER)
-    if len(finer):
-        most = finer[np.argmax(multiple[finer])]
-        place = ", ".join(f"{x:.4g}" for x in outcome.points[most])
-        notes += (
-            f"sizes are smaller than asked for at {counted(len(finer), 'vertex', 'vertices')}, "
-            f"{np.median(multiple[finer]):.2g} times in the middle and {multiple[most]:.2g} times "
-            f"at most, near ({place}): the envelope, features or thin parts allow no longer edges",)
-    return notes

@@ -114,11 +114,16 @@ def wanted_sizes(mesh: SimplexMesh, wish: Wish, given: Any = None) -> Sizes:
         notes.append(f"sizes grow by more than {wish.growth:g} from vertex to vertex; they are "
                      f"smaller at {100 * share:.0f} % of the vertices, see growth=")
     count = expected_cells(mesh, limited)
+    check_count(count, wish)
+    return Sizes(limited, count, tuple(notes), wish.growth, values)
+
+
+def check_count(count: float, wish: Wish) -> None:
+    """Refuse more cells than are wished at most."""
     if count > wish.most_cells:
         msg = (f"got sizes for about {count:.3g} cells; expected at most most_cells="
                f"{wish.most_cells}, try larger sizes or a larger most_cells=")
         raise InvalidOptionError(msg)
-    return Sizes(limited, count, tuple(notes), wish.growth, values)
 
 
 def expected_cells(mesh: SimplexMesh, values: FloatArray) -> float:

@@ -282,8 +282,9 @@ def test_vertices_that_come_make_no_more_than_asked_for(csg, wish):
 def told(monkeypatch):
     """What the notes on sizes of a run are made of."""
     calls = []
-    tell = remesh_run._told
-    monkeypatch.setattr(remesh_run, "_told", lambda *how: calls.append(how) or tell(*how))
+    tell = remesh_run.told_of_edges
+    monkeypatch.setattr(
+        remesh_run, "told_of_edges", lambda *how: calls.append(how) or tell(*how))
     return calls
 
 

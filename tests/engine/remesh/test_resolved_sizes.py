@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from itertools import combinations, permutations, product
+
+import meshio
 import numpy as np
 import pytest
 
@@ -9,6 +12,7 @@ import odt_plugins
 from odt_plugins.engine.remesh.resolve import resolved
 from odt_plugins.engine.remesh.sizes import wanted_sizes
 from odt_plugins.engine.remesh.wish import Wish
+from odt_plugins.errors import InvalidOptionError
 from odt_plugins.mesh.surface import surface_edges, surface_mesh
 
 
@@ -77,6 +81,56 @@ def test_a_function_is_asked_between_the_vertices_of_the_input():
     assert length.min() < 0.015
     assert ((ratio > 0.71) & (ratio < 1.41)).mean() > 0.9
     assert report.after.min_quality > 0.5
+
+
+def _cube(d):
+    """The unit cube of d! simplices."""
+    points = np.array(list(product((0.0, 1.0), repeat=d)))
+    rows = []
+    for order in permutations(range(d)):
+        path = np.cumsum(np.eye(d, dtype=int)[list(order)], axis=0)
+        rows.append([0, *(path @ 2 ** np.arange(d)[::-1])])
+    cells = np.array(rows)
+    step = points[cells[:, 1:]] - points[cells[:, :1]]
+    turned = np.linalg.det(step) < 0.0
+    cells[turned, -2:] = cells[turned, :-3:-1]
+    return points, cells
+
+
+def test_a_function_is_asked_inside_few_large_cells(d):
+    points, cells = _cube(d)
+    centre = np.array([0.3, 0.4, 0.5])[:d]
+
+    def size(at):
+        return 0.07 + 0.25 * np.linalg.norm(at - centre, axis=1)
+
+    sides = [facet for cell in cells for facet in combinations(cell.tolist(), d)]
+    outer = [f for f in sides if any(np.ptp(points[list(f), k]) == 0.0 for k in range(d))]
+    kind = {2: "line", 3: "triangle"}[d]
+    label = [int(points[list(f), 0].max() == 0.0) for f in outer]
+    mesh = meshio.Mesh(points, [({2: "triangle", 3: "tetra"}[d], cells), (kind, np.array(outer))],
+                       cell_data={"gmsh:physical": [np.ones(len(cells), dtype=int),
+                                                    2 + np.array(label)]})
+    result, report = odt_plugins.remesh_with_report(mesh, size)
+    x, t = result.points[:, :d], result.cells[0].data
+    edges = np.unique(np.sort(np.concatenate(
+        [t[:, list(pair)] for pair in combinations(range(d + 1), 2)]), axis=1), axis=0)
+    length = np.linalg.norm(x[edges[:, 0]] - x[edges[:, 1]], axis=1)
+    ratio = length / size(x[edges].mean(axis=1))
+    assert ((ratio > 0.71) & (ratio < 1.41)).mean() > 0.85
+    assert report.after.min_quality > 0.3
+    assert report.fallback is None
+    rows, labels = result.cells[1].data, result.cell_data["gmsh:physical"][1]
+    assert np.array_equal(labels == 3, (x[rows][:, :, 0] == 0.0).all(axis=1))
+    assert len(rows) > len(outer)
+
+
+def test_more_cells_than_are_wished_are_refused_where_a_function_asks_for_them_inside():
+    def size(at):
+        return 1e-4 + np.abs(at - 0.5).max(axis=1)
+
+    with pytest.raises(InvalidOptionError, match=r"about .* cells; .* most_cells=500"):
+        odt_plugins.remesh(_cube(3), size, most_cells=500, growth=2.0)
 
 
 def test_halves_of_edges_are_the_surface_and_lie_where_they_did():

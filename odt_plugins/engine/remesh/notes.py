@@ -1,0 +1,44 @@
+"""What is said of the edges of a mesh that was given other sizes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from odt_plugins.engine.remesh.lay_out import surface_of
+from odt_plugins.engine.remesh.sizes import FINER, lengths_of, unique_edges
+from odt_plugins.engine.run.outcome import Outcome
+from odt_plugins.errors import counted
+from odt_plugins.mesh.arrays import FloatArray
+
+IN = (0.5**0.5, 2.0**0.5)
+"""Edges whose length is within these multiples of their size have it."""
+
+
+def told_of_edges(outcome: Outcome, unit: float, multiple: FloatArray) -> tuple[str, ...]:
+    """How many edges are as long as they should be, and where those are that are not.
+
+    ``multiple`` (n,) are the sizes that were asked for, as parts of those that were worked with.
+    """
+    if outcome.sizes is None:
+        return ()
+    edges = unique_edges(outcome.cells)
+    asked = unit * outcome.sizes * multiple
+    ratio = lengths_of(outcome.points, edges, outcome.metric) / (0.5 * asked[edges].sum(axis=1))
+    short, long = ratio < IN[0], ratio > IN[1]
+    surface = np.zeros(len(outcome.points), dtype=np.bool_)
+    surface[surface_of(outcome.cells, outcome.regions, outcome.faces[1])[0]] = True
+    there = surface[edges].all(axis=1)
+    notes: tuple[str, ...] = (
+        f"{(~short & ~long).mean():.1%} of the edges are {IN[0]:.2f} to {IN[1]:.2f} times as "
+        f"long as asked for, {ratio.mean():.2f} on average; {short.mean():.1%} are shorter, "
+        f"{(short & there).mean():.1%} between vertices of the surface, and {long.mean():.1%} "
+        f"longer",)
+    finer = np.flatnonzero(multiple > FINER)
+    if len(finer):
+        most = finer[np.argmax(multiple[finer])]
+        place = ", ".join(f"{x:.4g}" for x in outcome.points[most])
+        notes += (
+            f"sizes are smaller than asked for at {counted(len(finer), 'vertex', 'vertices')}, "
+            f"{np.median(multiple[finer]):.2g} times in the middle and {multiple[most]:.2g} times "
+            f"at most, near ({place}): the envelope, features or thin parts allow no longer edges",)
+    return notes
