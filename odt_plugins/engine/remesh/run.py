@@ -163,15 +163,21 @@ def _off(outcome: Outcome, wish: Wish, goal: int) -> float:
 def _triangles(
     mesh: SimplexMesh, base: SimplexMesh, sizes: Sizes, options: Options, leaving: Leaving
 ) -> Outcome:
-    """Resize triangles; where much of the input stays for the promise's sake, also to sizes nearer
-    to those of the input: the coarsest result.
+    """Resize triangles, with more vertices where sizes need them if the promise holds so; where
+    much of the input stays for its sake, also to sizes nearer to those of the input: the coarsest
+    result.
     """
     wanted: Sizes | None = sizes
     best, why = unchanged(mesh, "no other sizes kept the promise"), None
+    if base is not mesh:
+        outcome = retile(mesh, sizes.values, options, leaving, _crowded(mesh, sizes), base)
+        if outcome.origin is not None:
+            return outcome
+        wanted = sizes.first(len(mesh.points))
     for _ in range(ATTEMPTS):
         if wanted is None:
             break
-        outcome = retile(mesh, wanted.values, options, leaving, _crowded(mesh, wanted), base)
+        outcome = retile(mesh, wanted.values, options, leaving, _crowded(mesh, wanted))
         if why is None and outcome.fallback is None:
             return outcome
         if why is None or (outcome.origin is not None and (
@@ -182,7 +188,7 @@ def _triangles(
         why = why or outcome.fallback
         if outcome.fallback is None or _stays(mesh, outcome) <= MOST_HELD:
             break
-        wanted = _nearer(base, wanted, np.zeros(len(base.cells), dtype=np.bool_))
+        wanted = _nearer(mesh, wanted, np.zeros(len(mesh.cells), dtype=np.bool_))
     return best
 
 
@@ -217,7 +223,7 @@ def _tetrahedra(
                     mesh, found.points, found.cells, found.regions, origin, tuple(options.keep),
                     found.metric, found.faces, slides=True, threads=options.threads):
                 return found
-        sizes = replace(sizes, values=sizes.values[:n], asked=sizes.asked[:n])
+        sizes = sizes.first(n)
     found, why = _tries(mesh, sizes, options, leaving, room)
     if found is not None:
         return found

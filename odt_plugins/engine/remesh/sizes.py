@@ -54,6 +54,10 @@ class Sizes:
         """All lengths so many times as long."""
         return replace(self, values=factor * self.values, asked=factor * self.asked)
 
+    def first(self, n: int) -> Sizes:
+        """Those of the first vertices."""
+        return replace(self, values=self.values[:n], asked=self.asked[:n])
+
     def below(self, mesh: SimplexMesh, most: FloatArray) -> Sizes:
         """The largest sizes that are no longer than ``most`` (n,) and grow as they may."""
         values = np.minimum(self.values, most)

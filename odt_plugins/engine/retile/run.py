@@ -80,7 +80,8 @@ def retile(
     options : Options        `envelope`, `feature_angle`, `boundary` and `keep` count
     leaving : callable       applied to every mesh before it is judged
     most : float             triangles from which on no edges are split, and none is resized anew
-    base : SimplexMesh       the mesh with more vertices, behind its own, as it is to be resized
+    base : SimplexMesh       the mesh with more vertices, behind its own, as it is to be resized: no
+                             triangles of it stay, the input is returned instead
 
     Returns
     -------
@@ -131,11 +132,12 @@ def retile(
         if attempt < NARROWED and mesh.is_surface:
             part[spoiled] *= NARROWER
             continue
-        unlike = np.pad(judged.unlike, (0, len(base.cells) - len(mesh.cells)))
+        if base is not mesh:
+            break
         if attempt < ATTEMPTS - 2:
-            part[unlike] *= NARROWER
+            part[judged.unlike] *= NARROWER
         else:
-            spoiled |= unlike
+            spoiled |= judged.unlike
         held = freeze(held, held.frozen | spoiled)
         if held.frozen.all():
             break

@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 
 import odt_plugins
+from odt_plugins.engine.remesh import run
 from odt_plugins.engine.remesh.resolve import resolved
 from odt_plugins.engine.remesh.sizes import wanted_sizes
 from odt_plugins.engine.remesh.wish import Wish
+from odt_plugins.engine.run.outcome import unchanged
 from odt_plugins.errors import InvalidOptionError
 from odt_plugins.mesh.surface import surface_edges, surface_mesh
 
@@ -167,3 +169,22 @@ def test_strips_around_a_cylinder_are_no_plane_sides():
     sizes = wanted_sizes(mesh, Wish(length=0.5))
     base, _ = resolved(mesh, sizes.below(mesh, np.full(128, 0.2)), np.full(128, 0.2))
     assert base is mesh
+
+
+def test_where_the_promise_forbids_more_vertices_the_mesh_is_resized_without(monkeypatch):
+    tried = []
+    resized = run.retile
+
+    def once(mesh, *rest):
+        tried.append(len(rest) > 4)
+        if tried[-1]:
+            return unchanged(mesh, "it does not hold")
+        return resized(mesh, *rest)
+
+    monkeypatch.setattr(run, "retile", once)
+    points, cells = _punched(32, 0.05)
+    (x, t), report = odt_plugins.remesh_with_report((points, cells), 0.2, envelope=1e-4)
+    assert tried == [True, False]
+    assert report.fallback is None
+    assert len(x) != len(points)
+    assert _area(x, t).sum() == pytest.approx(_area(points, cells).sum(), rel=1e-2)
