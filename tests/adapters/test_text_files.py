@@ -10,9 +10,10 @@ import meshio
 import numpy as np
 import pytest
 
+from odt_plugins import remesh
 from odt_plugins.adapters.files import read_file, write_file
 from odt_plugins.api import optimize_file
-from odt_plugins.errors import InvalidMeshError
+from odt_plugins.errors import DataNotKeptWarning, InvalidMeshError
 
 KINDS = [".su2", ".inp", ".mesh", ".bdf", ".msh", ".vol", ".avs", ".dato", ".f3grid", ".ele"]
 
@@ -129,3 +130,40 @@ def test_second_order_sections_of_medit_are_named_where_nothing_else_is_there(tm
             r"\.vtu file")):
         optimize_file(source, target)
     assert not target.exists()
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "latin-1"])
+@pytest.mark.parametrize("suffix", [".inp", ".su2", ".mdpa"])
+def test_names_of_groups_have_the_letters_of_the_file(suffix, encoding, tmp_path):
+    points, cells = box(5)
+    numbers = range(1, len(points) + 1)
+    nodes = "".join(f"{i}, {x!r}, {y!r}, {z!r}\n"
+                    for i, (x, y, z) in zip(numbers, points.tolist(), strict=True))
+    if suffix == ".inp":
+        text = "*NODE, NSET=voilà\n" + nodes + "*ELEMENT, TYPE=C3D4, ELSET=Stahl träge\n"
+        text += "".join(f"{i}, {a}, {b}, {c}, {d}\n"
+                        for i, (a, b, c, d) in enumerate((cells + 1).tolist(), 1))
+    elif suffix == ".su2":
+        text = f"NDIME= 3\nNELEM= {len(cells)}\n" + "".join(
+            f"10 {a} {b} {c} {d}\n" for a, b, c, d in cells.tolist())
+        text += f"NPOIN= {len(points)}\n" + "".join(
+            f"{x!r} {y!r} {z!r}\n" for x, y, z in points.tolist())
+        text += "NMARK= 1\nMARKER_TAG= Stahl träge\nMARKER_ELEMS= 0\n"
+    else:
+        text = "Begin Nodes\n" + nodes.replace(",", " ") + "End Nodes\nBegin Elements Element3D4N\n"
+        text += "".join(f"{i} 0 {a} {b} {c} {d}\n"
+                        for i, (a, b, c, d) in enumerate((cells + 1).tolist(), 1))
+        text += "End Elements\nBegin SubModelPart Stahl träge\nBegin SubModelPartElements\n1\n2\n"
+        text += "End SubModelPartElements\nEnd SubModelPart\n"
+    source, target = tmp_path / f"a{suffix}", tmp_path / f"b{suffix}"
+    source.write_bytes(text.encode(encoding))
+    mesh = read_file(source)
+    assert list(mesh.cell_sets) == ["Stahl träge"]
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*last digits", category=DataNotKeptWarning)
+        write_file(target, remesh(mesh, scale=0.8))
+    assert "Stahl träge".encode(encoding) in target.read_bytes()
+    if suffix == ".inp":
+        back = read_file(target)
+        assert len(back.points) > len(mesh.points)
+        assert len(back.point_sets["voilà"]) == len(back.points)

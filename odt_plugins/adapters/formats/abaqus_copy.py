@@ -34,6 +34,7 @@ from odt_plugins.adapters.formats.decks import (
     real,
     substituted,
 )
+from odt_plugins.adapters.formats.titles import encoded
 
 WIDEST = 20
 """Letters of a number that Abaqus and CalculiX read."""
@@ -149,9 +150,10 @@ def _sorted_nodes(
     others = [text for number, text in rows.items() if number not in inside]
     end = _end(deck.texts[last]) or b"\n"
     out += [b"*NODE" + end, *others] if others else []
+    whole = b"".join(deck.texts)
     for name, numbers in joined.items():
         if numbers:
-            out += [b"*NSET, NSET=" + name.encode("latin-1") + end, *_listed(sorted(numbers), end)]
+            out += [b"*NSET, NSET=" + encoded(name, whole) + end, *_listed(sorted(numbers), end)]
     return out
 
 
@@ -312,7 +314,7 @@ def _prefixes(deck: Deck, part: str, word: str) -> dict[str, bytes]:
     given += [word.partition(".")[0]] if "." in word else []
     out: dict[str, bytes] = {}
     for instance in given:
-        prefix = f"{instance}.".encode("latin-1")
+        prefix = encoded(f"{instance}.", b"".join(deck.texts))
         home = alias.get(instance.upper(), "") or instance.upper()
         if out.setdefault(home, prefix).upper() != prefix.upper():
             msg = f"set {word} has elements of several instances of part {home}"
@@ -405,7 +407,7 @@ def _set(
             kept = [word for word in words if word and not (
                 word.isdigit() and int(word) in drop)]
             comma = b"," if text.rstrip().endswith(b",") else b""
-            new = ", ".join(kept).encode("latin-1") + comma + _end(text) if kept else b""
+            new = encoded(", ".join(kept), text) + comma + _end(text) if kept else b""
         if add and i == section.lines[-1]:
             end = _end(text) or b"\n"
             numbers = sorted(add)

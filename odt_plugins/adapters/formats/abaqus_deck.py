@@ -23,6 +23,7 @@ from odt_plugins.adapters.formats.decks import (
     fits,
     order_of,
 )
+from odt_plugins.adapters.formats.titles import decoded
 from odt_plugins.errors import MeshFileError
 
 MADE = ("NGEN", "NFILL", "NCOPY", "NMAP", "ELGEN", "ELCOPY", "SYSTEM")
@@ -144,7 +145,7 @@ def parsed(path: Path) -> Deck:
 
 def words_of(text: bytes) -> list[str]:
     """Words of a line of data."""
-    return [word.strip().strip('"') for word in text.decode("latin-1").strip().split(",")]
+    return [word.strip().strip('"') for word in decoded(text).strip().split(",")]
 
 
 def resolved(sections: list[Section]) -> dict[str, str]:
@@ -210,7 +211,7 @@ def _sections(texts: list[bytes]) -> Iterator[Section]:
             head += texts[i].strip()
         if found is not None:
             yield found
-        word, _, rest = head.decode("latin-1").partition(",")
+        word, _, rest = decoded(head).partition(",")
         params = {}
         for item in re.findall(r'(?:"[^"]*"|[^,])+', rest):
             key, _, value = item.partition("=")

@@ -28,6 +28,7 @@ from odt_plugins.adapters.formats.decks import (
     rows_of,
     unread,
 )
+from odt_plugins.adapters.formats.titles import decoded
 from odt_plugins.errors import MeshFileError
 
 LABEL = "mdpa:part"
@@ -197,9 +198,9 @@ def _parsed(data: bytes) -> Parts:
     for row in rows_of(data, b"//"):
         word = row.words[0].lower()
         if word == b"begin" and len(row.words) > 1:
-            name = b" ".join(row.words[2:]).decode("latin-1")
+            name = decoded(b" ".join(row.words[2:]))
             outer = [s.name for s in stack if s.kind == "SubModelPart"]
-            stack.append(Section(row.words[1].decode("latin-1"), name, ".".join(outer), []))
+            stack.append(Section(decoded(row.words[1]), name, ".".join(outer), []))
             sections.append(stack[-1])
         elif word == b"end" and stack:
             stack.pop()

@@ -19,6 +19,7 @@ from odt_plugins.adapters.formats.decks import (
     real,
     rows_of,
 )
+from odt_plugins.adapters.formats.titles import decoded
 from odt_plugins.errors import MeshFileError
 
 TYPES = {1: ("vertex", 1), 3: ("line", 2), 5: ("triangle", 3), 9: ("quad", 4), 10: ("tetra", 4),
@@ -188,7 +189,7 @@ def _parsed(data: bytes) -> Parts:
     remarks: list[str] = []
     stated: list[int] = []
     for row in rows_of(data, b"%"):
-        text = data[row.start: row.stop].partition(b"%")[0].decode("latin-1")
+        text = decoded(data[row.start: row.stop].partition(b"%")[0])
         if "=" not in text:
             if sections and len(sections[-1].rows) < stated[-1]:
                 sections[-1].rows.append(row)

@@ -1,4 +1,4 @@
-"""Names of groups, which files may give to several of them, as keys of one dictionary."""
+"""Names of groups: as keys of one dictionary where files give one to several, and as bytes."""
 
 from __future__ import annotations
 
@@ -35,3 +35,21 @@ def plain(title: str, names: Mapping[str, Any]) -> str:
         if title.endswith(behind) and name in names:
             return name
     return title
+
+
+def decoded(text: bytes) -> str:
+    """Text of a file: UTF-8 where it can be that, else Latin-1."""
+    try:
+        return text.decode("utf-8")
+    except UnicodeDecodeError:
+        return text.decode("latin-1")
+
+
+def encoded(text: str, like: bytes) -> bytes:
+    """Bytes of a text in the encoding in which :func:`decoded` reads another text of its file."""
+    if decoded(like).encode("utf-8") == like:
+        return text.encode("utf-8")
+    try:
+        return text.encode("latin-1")
+    except UnicodeEncodeError:
+        return text.encode("utf-8")
