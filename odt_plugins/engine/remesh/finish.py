@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from odt_plugins.engine.cells.geometry import signed_volumes
 from odt_plugins.engine.odt.density import NodalDensity
 from odt_plugins.engine.odt.rounds import overrelaxes
 from odt_plugins.engine.policy import POLICY
@@ -71,7 +72,8 @@ def finished(
     Resized               its outcome has the faces of then
     bool                  whether these can be told apart
     """
-    resized = given.outcome
+    resized = _placed(given.outcome, leaving)
+    given = given._replace(outcome=resized)
     origin: LongArray = resized.origin if resized.origin is not None else np.arange(0)
     new = origin < 0
     number = new_numbers(origin, len(mesh.points))
@@ -124,6 +126,17 @@ def finished(
             multiple=given.multiple[best.origin[_nearest(best.points, ~came)]],
             lines=new_numbers(best.origin, len(origin))[given.lines])
     return given._replace(outcome=replace(outcome, faces=faces or no_faces())), faces is not None
+
+
+def _placed(resized: Outcome, leaving: Leaving) -> Outcome:
+    """A mesh with its vertices where they leave, so that those which stay from here on are there.
+
+    The caller's coordinates may be shorter numbers. Where cells would fold all stays.
+    """
+    places = leaving(resized).points
+    if not (signed_volumes(places, resized.cells) > 0.0).all():
+        return resized
+    return replace(resized, points=places)
 
 
 def sums(one: dict[str, Any], other: dict[str, Any]) -> dict[str, Any]:

@@ -108,6 +108,20 @@ def test_regions_keep_their_volumes_and_their_interface():
     assert np.abs(new[interface][:, :, 0] - 0.5).max() < 0.01 * 3**0.5
 
 
+@pytest.mark.parametrize("scale", [0.7, 1.4])
+def test_regions_of_short_coordinates_get_other_sizes_as_those_of_long_ones_do(scale):
+    points, cells = boxes.box(3, 6, plane=0.5)
+    labels = (points[cells][:, :, 0].mean(axis=1) > 0.5).astype(int)
+    count = []
+    for kind in (np.float64, np.float32):
+        (new, _, _), report = odt_plugins.remesh_with_report(
+            (points.astype(kind), cells, labels), scale=scale)
+        assert new.dtype == kind
+        assert report.fallback is None
+        count.append(len(new))
+    assert count[1] == pytest.approx(count[0], rel=0.05)
+
+
 def test_fixed_vertices_and_cells_outside_the_selection_stay(box):
     points, cells = box
     held = np.flatnonzero(points[:, 2] > 0.7)
