@@ -20,6 +20,9 @@ from odt_plugins.mesh.facets import row_keys
 SET_VERTEX, NAMED_VERTEX = "vertex of point set", "vertex named by its file"
 """Kind of kept cells of a vertex each, with the name of the set behind it."""
 
+CELL_VERTEX = "vertex alone in a cell"
+"""Kind of kept cells of a vertex each: those that make up no cells or facets are places."""
+
 SPLINE_VERTEX = "vertex on a spline"
 """Kind of kept cells of a vertex each, of a mesh of Netgen in the plane."""
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.adapters.host import (
+    CELL_VERTEX,
     NAMED_VERTEX,
     SET_VERTEX,
     SPLINE_VERTEX,
@@ -85,8 +86,7 @@ def protect(
     named: list[tuple[NDArray[np.int64], NDArray[Any]]] = []
     alike: list[tuple[NDArray[np.int64], NDArray[Any]]] = []
     for kind, raw, classes, labels, _ in kept:
-        _check_range(kind, raw, n)
-        rows = np.asarray(raw, dtype=np.int64)
+        rows = _rows_of(mesh, kind, raw)
         if rows.shape[1] > 1:
             held, exposed, _ = _hold(mesh, rows)
             inner += [rows[exposed]] if exposed.any() else []
@@ -233,8 +233,7 @@ def protect_surface(
     named: list[tuple[NDArray[np.int64], NDArray[Any]]] = []
     alike: list[tuple[NDArray[np.int64], NDArray[Any]]] = []
     for kind, raw, classes, labels, _ in kept:
-        _check_range(kind, raw, n)
-        rows = np.asarray(raw, dtype=np.int64)
+        rows = _rows_of(mesh, kind, raw)
         if rows.shape[1] == 2 and len(rows):
             keys = row_keys(np.concatenate([np.sort(rows, axis=1), pairs]), n)
             held = np.isin(keys[: len(rows)], keys[len(rows) :])
@@ -275,6 +274,19 @@ def hold_charts(mesh: SimplexMesh, charts: NDArray[np.integer] | None) -> Simple
             np.maximum.at(high, corner, charts)
         fixed |= low < high
     return replace(mesh, fixed=fixed)
+
+
+def _rows_of(mesh: SimplexMesh, kind: str, raw: NDArray[np.integer]) -> NDArray[np.int64]:
+    """Vertices of kept cells; of those of a vertex each none where most make up cells or facets."""
+    _check_range(kind, raw, len(mesh.points))
+    if kind != CELL_VERTEX:
+        return np.asarray(raw, dtype=np.int64)
+    own = np.intersect1d(raw, mesh.cells).astype(np.int64)
+    among = np.zeros(len(mesh.points), dtype=np.bool_)
+    among[own] = True
+    whole = mesh.cells[among[mesh.cells].all(axis=1)], _facets_of(mesh, own)
+    made_up = np.isin(own, np.concatenate([rows.ravel() for rows in whole]))
+    return own[:0 if 2 * made_up.sum() > len(own) else None, None]
 
 
 def _check_range(kind: str, raw: NDArray[np.integer], n: int) -> None:
@@ -376,10 +388,10 @@ def _note_inside(
 
 
 def notes_on_sets(kept: tuple[KeptCells, ...], fixed: BoolArray) -> tuple[str, ...]:
-    """Say which vertices stay, of those ``fixed`` (n,), that a point set or the file names."""
+    """Say which vertices stay, of those ``fixed`` (n,), that sets, the file or cells name."""
     return tuple(f"{counted(len(rows), kind, kind.replace('vertex', 'vertices'))} stay where they "
                  f"are" for kind, rows, *_ in kept
-                 if kind.startswith((SET_VERTEX, NAMED_VERTEX)) and fixed[rows].all())
+                 if kind.startswith((SET_VERTEX, NAMED_VERTEX, CELL_VERTEX)) and fixed[rows].all())
 
 
 def hold_places(

@@ -33,6 +33,7 @@ from odt_plugins.adapters.higher_order import (
     with_mid_nodes,
 )
 from odt_plugins.adapters.host import (
+    CELL_VERTEX,
     NAMED_VERTEX,
     SET_VERTEX,
     HostMesh,
@@ -141,6 +142,9 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
     if REQUIRED in mesh.point_sets:
         kept = (*kept, KeptCells("required vertex",
                                  np.asarray(mesh.point_sets[REQUIRED]).reshape(-1, 1)))
+    alone = [block.data for block in mesh.cells if block.type == "vertex" and len(block.data)]
+    if alone:
+        kept = (*kept, KeptCells(CELL_VERTEX, _rows(alone).reshape(-1, 1)))
     if len(getattr(mesh, HELD, ())):
         kept = (*kept, KeptCells(NAMED_VERTEX,
                                  np.asarray(getattr(mesh, HELD)).reshape(-1, 1)))

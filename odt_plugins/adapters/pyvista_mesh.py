@@ -26,7 +26,14 @@ from odt_plugins.adapters.higher_order import (
     placed_nodes,
     with_mid_nodes,
 )
-from odt_plugins.adapters.host import HostMesh, KeptCells, Result, classes_of, is_instance
+from odt_plugins.adapters.host import (
+    CELL_VERTEX,
+    HostMesh,
+    KeptCells,
+    Result,
+    classes_of,
+    is_instance,
+)
 from odt_plugins.adapters.normals import renewed
 from odt_plugins.adapters.regions import region_labels
 from odt_plugins.adapters.wedges import slid
@@ -106,12 +113,13 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
     labels = region_labels(arrays, regions, corners)
     name = mesh.point_data.active_texture_coordinates_name
     texture = None if name is None else np.asarray(mesh.point_data[name])
+    anchors = _anchors(mesh, grid)
     return HostMesh(
         points=np.asarray(mesh.points),
         cells=corners,
         regions=labels.values,
         regions_from=labels.names,
-        kept=kept,
+        kept=(*kept, KeptCells(CELL_VERTEX, anchors[:, None])) if len(anchors) else kept,
         source=mesh,
         layout=(ids, nodes if wide else None, shape),
         ids=ids,
@@ -120,7 +128,7 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
             {name: np.asarray(mesh.point_data[name]) for name in mesh.point_data.keys()},
             (mesh.point_data.active_normals_name, name)),
         densities=dense(arrays, (mesh.cell_data.active_normals_name,)),
-        anchors=_anchors(mesh, grid),
+        anchors=anchors,
         higher_order=wide,
         nodes=nodes if wide else None,
         shape=shape if wide else None,

@@ -8,6 +8,7 @@ import boxes
 import meshio
 import numpy as np
 import pytest
+import pyvista
 
 from odt_plugins import optimize, remesh, remesh_with_report, untangle
 from odt_plugins.errors import DataNotKeptWarning, InvalidMeshError
@@ -176,3 +177,26 @@ def test_indices_out_of_range_are_named_beside_sets():
     mesh = meshio.Mesh(points, [("tetra", cells)], point_sets={"low": np.arange(5)})
     with pytest.raises(InvalidMeshError, match="first: cell 5"):
         optimize(mesh)
+
+
+@pytest.mark.parametrize("kind", ["meshio", "pyvista"])
+@pytest.mark.parametrize("run", [
+    optimize, lambda mesh: optimize(mesh, boundary="slide", free="periodic"),
+    lambda mesh: remesh(mesh, scale=0.7), lambda mesh: remesh(mesh, scale=1.4)])
+def test_vertices_that_are_cells_stay_where_they_are(run, kind):
+    points, cells = boxes.box(3, 6)
+    near = [np.linalg.norm(points - place, axis=1).argmin()
+            for place in ([0.5, 0.5, 0.4], [0.5, 0.3, 1])]
+    mesh = meshio.Mesh(points, [("tetra", cells), ("vertex", np.array(near)[:, None])])
+    after = run(mesh if kind == "meshio" else pyvista.from_meshio(mesh))
+    last = after.cells[1].data.ravel() if kind == "meshio" else [
+        after.get_cell(i).point_ids[0] for i in np.flatnonzero(after.celltypes == 1)]
+    np.testing.assert_array_equal(np.asarray(after.points)[last], points[near])
+
+
+def test_vertices_of_cells_move_where_all_have_such_a_cell():
+    points, cells = boxes.box(3, 4)
+    mesh = meshio.Mesh(points, [("tetra", cells), ("vertex", np.arange(len(points))[:, None])])
+    after = optimize(mesh)
+    assert (after.points != points).any()
+    np.testing.assert_array_equal(after.cells[1].data, mesh.cells[1].data)
