@@ -1,4 +1,4 @@
-"""The promise of the size of every region where a boundary has other vertices."""
+"""The promise of the size of every region where a boundary moves or has other vertices."""
 
 from __future__ import annotations
 
@@ -30,16 +30,19 @@ def other_sizes(
     Where the boundary stays on the geometry that it was made of, what is between it and the
     geometry may be added.
     """
+    was, now = before.bodies(), before.bodies(regions)
+    labels, own = np.unique(was, return_inverse=True)
+    place = np.minimum(np.searchsorted(labels, now), len(labels) - 1)
+    there = labels[place] == now
+    first = np.bincount(own.ravel(), volumes(before.points, before.cells), len(labels))
+    last = np.bincount(place[there], volumes(points, cells[there]), len(labels))
     others = []
-    for label in np.unique(before.regions).tolist():
-        own = before.cells[before.regions == label]
-        first = float(volumes(before.points, own).sum())
-        last = float(volumes(points, cells[regions == label]).sum())
-        most = VOLUME * first
+    for k in np.flatnonzero(~(np.abs(last - first) <= VOLUME * first)).tolist():
+        most = VOLUME * first[k]
         if before.sag > 0.0:
-            most += before.sag * _outside(before.points, own)
-        if not abs(last - first) <= most:
-            others.append((label, first, last))
+            most += before.sag * _outside(before.points, before.cells[was == labels[k]])
+        if not abs(last[k] - first[k]) <= most:
+            others.append((int(labels[k]), float(first[k]), float(last[k])))
     return others
 
 

@@ -360,7 +360,7 @@ def _newly_cut(mesh: SimplexMesh, outcome: Outcome, sizes: Sizes) -> BoolArray:
 def _of_small_regions(mesh: SimplexMesh, outcome: Outcome) -> BoolArray:
     """Vertices (n,) of the input of regions whose volume is another, if these are small."""
     near = np.zeros(len(mesh.points), dtype=np.bool_)
-    near[mesh.cells[np.isin(mesh.regions, _small_unlike(mesh, outcome))]] = True
+    near[mesh.cells[np.isin(mesh.bodies(), _small_unlike(mesh, outcome))]] = True
     return near
 
 

@@ -281,7 +281,7 @@ def _around(mesh: SimplexMesh, labels: list[int]) -> BoolArray:
     """Mark the triangles (m,) at the rims of regions."""
     rim = np.zeros(len(mesh.points), dtype=np.bool_)
     for label in labels:
-        rim[uneven_facets(mesh.cells[mesh.regions == label], len(mesh.points)).open] = True
+        rim[uneven_facets(mesh.cells[mesh.bodies() == label], len(mesh.points)).open] = True
     return np.asarray(rim[mesh.cells].any(axis=1))
 
 

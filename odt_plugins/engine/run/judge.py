@@ -13,6 +13,7 @@ from odt_plugins.mesh.numbering import in_old_numbers, old_numbers
 from odt_plugins.mesh.seen import NO_METRIC
 from odt_plugins.mesh.simplex import SimplexMesh, diagonal
 from odt_plugins.options import Options
+from odt_plugins.promise.region_sizes import broken_sizes, other_sizes
 from odt_plugins.promise.volume import broken_promises
 
 TOLERANCE = 0.02
@@ -90,6 +91,8 @@ def faults(
     broken = broken_promises(mesh, points, cells, regions, tuple(options.keep), slides=sliding,
                              origin=origin, insert=options.insert, threads=options.threads,
                              metric=metric)
+    if sliding:
+        broken += broken_sizes(mesh, points, cells, regions)
     if broken or not sliding:
         return broken, None
     from odt_plugins.engine.ground.crossings import count_crossings
@@ -121,3 +124,14 @@ def cut_vertices(
     places, were = (np.ascontiguousarray(x[:, :3]) for x in (points, before))
     cut = np.unique(new[crossing_triangles(places, new)])
     return np.setdiff1d(cut, old[crossing_triangles(were, old)]).astype(np.int32)
+
+
+def vertices_of_other_sizes(
+    mesh: SimplexMesh, points: FloatArray, cells: IntArray, regions: IntArray
+) -> IntArray:
+    """List the boundary vertices of the regions whose volume changed too much, if not of all."""
+    labels = [label for label, *_ in other_sizes(mesh, points, cells, regions)]
+    own = np.isin(mesh.bodies(), labels)
+    if own.all():
+        return np.zeros(0, dtype=np.int32)
+    return np.intersect1d(mesh.cells[own], boundary_facets(mesh.cells)).astype(np.int32)

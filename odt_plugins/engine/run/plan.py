@@ -12,7 +12,7 @@ from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.record.memory import State
 from odt_plugins.engine.record.progress import until_insertion
 from odt_plugins.engine.run.best import ALONE, BESIDES, best_state, input_returned
-from odt_plugins.engine.run.judge import cut_vertices, faults, slides
+from odt_plugins.engine.run.judge import cut_vertices, faults, slides, vertices_of_other_sizes
 from odt_plugins.engine.run.outcome import Leaving, Outcome, as_it_is, unchanged
 from odt_plugins.engine.run.retreat import run_sliding
 from odt_plugins.engine.run.sizes import keeps_sizes, sizes_after
@@ -147,12 +147,14 @@ def _end(work: Work, leaving: Leaving, reason: str) -> tuple[Outcome, IntArray]:
     )
     if not work.slides or outcome.slid is not None:
         return outcome, np.zeros(0, dtype=np.int32)
-    spoiled = memory.spoiled()
+    spoiled, more = memory.spoiled(), np.zeros(0, dtype=np.int32)
     if memory.states:
         best = memory.states[0]
+        state = start.placed(best)
+        more = vertices_of_other_sizes(start.mesh, state.points, state.cells, state.regions)
         spoiled = cut_vertices(start.points, start.cells, best.points, best.cells)
     spoiled = spoiled[spoiled < len(work.boundary)]
-    return outcome, start.frame.vertices[spoiled[work.boundary[spoiled]]]
+    return outcome, np.union1d(start.frame.vertices[spoiled[work.boundary[spoiled]]], more)
 
 
 def _judged(work: Work, leaving: Leaving, state: State) -> tuple[Outcome, list[str]]:
