@@ -9,6 +9,7 @@ import numpy as np
 
 from odt_plugins.adapters import arrays, files, meshio_mesh, pyvista_mesh
 from odt_plugins.adapters.host import (
+    CELL_VERTEX,
     NAMED_VERTEX,
     SET_VERTEX,
     Adapter,
@@ -28,7 +29,7 @@ MeshT = TypeVar("MeshT")
 
 ADAPTERS: tuple[Adapter, ...] = (arrays, files, meshio_mesh, pyvista_mesh)
 
-SPLIT = ("line", "triangle", NAMED_VERTEX)
+SPLIT = ("line", "triangle", NAMED_VERTEX, CELL_VERTEX)
 """Cells that are refined beside others, and vertices."""
 
 
