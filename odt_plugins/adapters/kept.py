@@ -389,8 +389,9 @@ def _note_inside(
 
 def notes_on_sets(kept: tuple[KeptCells, ...], fixed: BoolArray) -> tuple[str, ...]:
     """Say which vertices stay, of those ``fixed`` (n,), that sets, the file or cells name."""
-    return tuple(f"{counted(len(rows), kind, kind.replace('vertex', 'vertices'))} stay where they "
-                 f"are" for kind, rows, *_ in kept
+    stay = {True: "stays where it is", False: "stay where they are"}
+    return tuple(f"{counted(len(rows), kind, kind.replace('vertex', 'vertices'))} "
+                 f"{stay[len(rows) == 1]}" for kind, rows, *_ in kept
                  if kind.startswith((SET_VERTEX, NAMED_VERTEX, CELL_VERTEX)) and fixed[rows].all())
 
 
