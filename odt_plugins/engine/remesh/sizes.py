@@ -14,7 +14,7 @@ from odt_plugins.engine.odt.density import smooth_over_stars
 from odt_plugins.engine.remesh.wish import Wish
 from odt_plugins.engine.topology.star import star_sum
 from odt_plugins.errors import InvalidOptionError
-from odt_plugins.mesh.arrays import FloatArray, IntArray
+from odt_plugins.mesh.arrays import FloatArray, IntArray, LongArray
 from odt_plugins.mesh.seen import as_seen
 from odt_plugins.mesh.simplex import SimplexMesh, corner_mean, diagonal
 
@@ -222,9 +222,9 @@ def grown(
 def _as_given(mesh: SimplexMesh, given: Any, used: IntArray) -> FloatArray:
     """Lengths at the vertices from an array or a callable."""
     if callable(given):
-        out = np.ones(len(mesh.points))
-        out[used] = lengths_at(given, mesh.points, used)
-        return out
+        values = np.ones(len(mesh.points))
+        values[used] = lengths_at(given, mesh.points, used)
+        return values
     n, m = len(mesh.points), len(mesh.cells)
     values = _numbers(given)
     if values.shape == (m,) and m != n:
@@ -232,7 +232,10 @@ def _as_given(mesh: SimplexMesh, given: Any, used: IntArray) -> FloatArray:
         count = star_sum(np.ones(m), mesh.cells, n)
         total = star_sum(values, mesh.cells, n)
         values = np.divide(total, count, out=np.ones(n), where=count > 0)
-    _check_shape(values, n, f", or ({m},), one for each cell")
+    if values.shape != (n,):
+        msg = (f"got sizes of shape {values.shape}; expected ({n},), one for each vertex, or "
+               f"({m},), one for each cell")
+        raise InvalidOptionError(msg)
     out = np.ones(n)
     _check_positive(values[used], used)
     out[used] = values[used]
@@ -246,9 +249,17 @@ def lengths_at(given: Any, points: FloatArray, used: IntArray) -> FloatArray:
     ------
     InvalidOptionError    they are not finite and positive, or of another number
     """
-    values = _numbers(given(points.copy()))
-    _check_shape(values, len(points), "")
-    _check_positive(values[used], used)
+    values, n = _numbers(given(points.copy())), len(points)
+    if values.shape != (n,):
+        msg = (f"got sizes of shape {values.shape} at {n} points; expected ({n},), one for each of "
+               f"the points that the function is given")
+        raise InvalidOptionError(msg)
+    bad = used[_bad(values[used])]
+    if bad.size:
+        place = ", ".join(f"{x:.4g}" for x in points[bad[0]])
+        msg = (f"got size {values[bad[0]]} at index {bad[0]}, at ({place}) ({bad.size} of them); "
+               f"expected finite lengths above 0, try a number")
+        raise InvalidOptionError(msg)
     return values[used]
 
 
@@ -264,14 +275,13 @@ def _numbers(raw: Any) -> FloatArray:
         raise InvalidOptionError(msg) from exc
 
 
-def _check_shape(values: FloatArray, n: int, more: str) -> None:
-    if values.shape != (n,):
-        msg = f"got sizes of shape {values.shape}; expected ({n},), one for each vertex{more}"
-        raise InvalidOptionError(msg)
+def _bad(values: FloatArray) -> LongArray:
+    """Indices of what is no length."""
+    return np.flatnonzero(~(np.isfinite(values) & (values > 0.0)))
 
 
 def _check_positive(values: FloatArray, index: IntArray | None = None) -> None:
-    bad = np.flatnonzero(~(np.isfinite(values) & (values > 0.0)))
+    bad = _bad(values)
     if bad.size:
         at = bad[0] if index is None else index[bad[0]]
         msg = (f"got size {values[bad[0]]} at index {at} ({bad.size} of them); expected finite "

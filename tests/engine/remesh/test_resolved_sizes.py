@@ -188,3 +188,12 @@ def test_where_the_promise_forbids_more_vertices_the_mesh_is_resized_without(mon
     assert report.fallback is None
     assert len(x) != len(points)
     assert _area(x, t).sum() == pytest.approx(_area(points, cells).sum(), rel=1e-2)
+
+
+@pytest.mark.parametrize(("size", "match"), [
+    (lambda x: np.where(x[:, 0] == 0.5, np.nan, 0.1), r"nan at .*, at \(0\.5, .*\(3 of them\)"),
+    (lambda x: np.full(4, 0.1), r"shape \(4,\) at 5 points; expected \(5,\)"),
+])
+def test_what_a_function_gives_between_vertices_is_named_by_its_place(size, match):
+    with pytest.raises(InvalidOptionError, match=match):
+        odt_plugins.remesh(_cube(2), size)
