@@ -9,6 +9,7 @@ import numpy as np
 from odt_plugins.engine.cells.tensors import PACKED, eigenvalues, full, product, transposed
 from odt_plugins.errors import InvalidOptionError
 from odt_plugins.mesh.arrays import BoolArray, FloatArray
+from odt_plugins.mesh.numbers import real_numbers
 from odt_plugins.mesh.plane import PlaneFrame
 from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.metric.implied import implied_metric
@@ -65,16 +66,8 @@ def metric_at_vertices(
 
 
 def _real(raw: Any) -> FloatArray:
-    try:
-        found = np.asarray(raw)
-        if found.dtype.kind in "bcmMSU":
-            msg = f"they are of type {found.dtype}"
-            raise TypeError(msg)
-        return found.astype(np.float64)
-    except (TypeError, ValueError) as exc:
-        msg = (f"got a metric that is no array of real numbers: {exc}; expected one symmetric "
-               f"tensor for every vertex, try metric='input'")
-        raise InvalidOptionError(msg) from exc
+    return real_numbers(raw, "a metric that is no array of real numbers",
+                        "one symmetric tensor for every vertex, try metric='input'")
 
 
 def _tensors(values: FloatArray, n: int, d: int, frame: PlaneFrame | None) -> FloatArray:

@@ -57,9 +57,8 @@ def resolved(
     finer : SimplexMesh    with the new vertices behind those of the mesh
     sizes : Sizes          at its vertices
     """
-    stays = _stays(mesh)
+    stays, edges = _stays(mesh), unique_edges(mesh.cells)
     for _ in range(HALVINGS):
-        edges = unique_edges(mesh.cells)
         low, high = edges.T
         length = lengths_of(mesh.points, edges)
         ends = sizes.values[edges]
@@ -79,9 +78,10 @@ def resolved(
         if not len(which):
             break
         mesh = _halved(mesh, edges[which], middle[which])
+        edges = unique_edges(mesh.cells)
         asked = np.concatenate([sizes.asked, wish[which]])
         most = np.concatenate([most, allowed[which]])
-        values = grown(mesh.points, unique_edges(mesh.cells), np.minimum(asked, most), sizes.growth)
+        values = grown(mesh.points, edges, np.minimum(asked, most), sizes.growth)
         cells = cells_of_sizes(mesh.points, mesh.cells, values)
         sizes = replace(sizes, values=values, asked=asked, cells=cells)
         if cells > most_cells:

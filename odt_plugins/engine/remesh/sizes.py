@@ -15,6 +15,7 @@ from odt_plugins.engine.remesh.wish import Wish
 from odt_plugins.engine.topology.star import star_sum
 from odt_plugins.errors import InvalidOptionError
 from odt_plugins.mesh.arrays import FloatArray, IntArray, LongArray
+from odt_plugins.mesh.numbers import real_numbers
 from odt_plugins.mesh.seen import as_seen
 from odt_plugins.mesh.simplex import SimplexMesh, corner_mean, diagonal
 
@@ -264,15 +265,7 @@ def lengths_at(given: Any, points: FloatArray, used: IntArray) -> FloatArray:
 
 
 def _numbers(raw: Any) -> FloatArray:
-    try:
-        found = np.asarray(raw)
-        if found.dtype.kind in "bcmM":
-            msg = f"they are of type {found.dtype}"
-            raise TypeError(msg)
-        return found.astype(np.float64)
-    except (TypeError, ValueError) as exc:
-        msg = f"got sizes that are no real numbers: {exc}; expected lengths, try a number"
-        raise InvalidOptionError(msg) from exc
+    return real_numbers(raw, "sizes that are no real numbers", "lengths, try a number")
 
 
 def _bad(values: FloatArray) -> LongArray:
