@@ -66,9 +66,9 @@ if [ $# -gt 0 ]; then
 fi
 told="$(mktemp)" failed=0
 trap 'rm "$told"' EXIT
-# Types are checked beside the tests, some of which wait for others.  Tests that stand together run
-# in the same process, which imports their toolkits once.
-python -m mypy >"$told" 2>&1 &
+# Types are checked whenever a test waits for what it started.  Tests that stand together run in the
+# same process, which imports their toolkits once.
+nice -n 19 python -m mypy >"$told" 2>&1 &
 beside=$!
 echo "== pytest"
 python -m pytest -n 2 --dist worksteal || failed=1

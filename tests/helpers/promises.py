@@ -37,18 +37,17 @@ def measure(points, cells):
 
 
 def facet_set(cells, regions):
-    """Directed boundary and interface facets, with the label of their cell."""
+    """Boundary and interface facets, vertices in rising order, with the label of every cell."""
     d = cells.shape[1] - 1
-    owners: dict[tuple[int, ...], list[int]] = {}
-    for c, cell in enumerate(cells.tolist()):
-        for i in range(d + 1):
-            owners.setdefault(tuple(sorted(cell[:i] + cell[i + 1:])), []).append(c)
-    return {
-        (f, int(regions[c]))
-        for f, o in owners.items()
-        for c in o
-        if len(o) == 1 or regions[o[0]] != regions[o[1]]
-    }
+    facets = np.sort(np.concatenate([np.delete(cells, i, axis=1) for i in range(d + 1)]), axis=1)
+    label = np.tile(regions, d + 1)
+    key = np.ravel_multi_index(facets.T, (int(cells.max()) + 1,) * d)
+    order = np.argsort(key, kind="stable")
+    facets, label = facets[order], label[order]
+    same = np.diff(key[order]) == 0
+    inner = np.append(same & (label[1:] == label[:-1]), False)
+    inner[1:] |= inner[:-1]
+    return set(zip(map(tuple, facets[~inner].tolist()), label[~inner].tolist(), strict=True))
 
 
 def volumes(points, cells):
