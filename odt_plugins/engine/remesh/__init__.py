@@ -6,7 +6,8 @@ lines. `split_edges` cuts all that hold a long edge, `collapse_edges` takes a ve
 hold it, `flip_patches` exchanges the diagonals of two triangles of a patch, `relax_surface` moves
 the vertices of patches and lines. Collapses and moves ask one guard, `fits`. Rounds of these and of
 ODT with rho = h^-(d + 2) follow each other, and the run of ``engine.run`` finishes. Sizes are
-linear between vertices: `resolved` halves edges of the input first where they are not.
+linear between vertices: `resolved` halves edges of the input first where they are not. Where cells
+or a boundary of the input stay, `beside_whole` lets sizes fall from their edges.
 
 References
 ----------

@@ -18,7 +18,6 @@ from odt_plugins.engine.odt.rounds import Log
 from odt_plugins.engine.record.figures import Figures, cell_shapes, figures
 from odt_plugins.engine.record.memory import State
 from odt_plugins.engine.record.relaxed import relaxed
-from odt_plugins.engine.remesh.body import FREELY, STAYS, STIFF
 from odt_plugins.engine.remesh.chords import sizes_as_wished
 from odt_plugins.engine.remesh.distance import CUT, beyond, furthest
 from odt_plugins.engine.remesh.finish import MORE, Resized, Room, finished, sums
@@ -31,6 +30,7 @@ from odt_plugins.engine.remesh.sizes import (
     local_sizes,
 )
 from odt_plugins.engine.remesh.volume import Resizing, arrays_of, resize
+from odt_plugins.engine.remesh.whole import beside_whole, holds
 from odt_plugins.engine.remesh.wish import Wish
 from odt_plugins.engine.retile.run import retile
 from odt_plugins.engine.run.judge import envelope_length
@@ -131,6 +131,9 @@ def remesh(mesh: SimplexMesh, options: Options, leaving: Leaving, wish: Wish) ->
             nearest = min(counts, key=lambda known: abs(counts[known] - goal))
             factor = (factor_for(counts, goal, mesh.dim) if factor in counts
                       else math.sqrt(factor * nearest))
+            factor = max(factor, FURTHEST ** (-1.0 / mesh.dim))
+            if factor in counts:
+                break
             other = tries(sizes.scaled(factor), lambda found: min(
                 MORE, goal / _count(found, wish) - 1.0))
             if other.origin is not None:
@@ -145,9 +148,9 @@ def remesh(mesh: SimplexMesh, options: Options, leaving: Leaving, wish: Wish) ->
     return replace(outcome, notes=sizes.notes + outcome.notes)
 
 
-NEAR, CORRECTIONS = 0.03, 4
+NEAR, CORRECTIONS, FURTHEST = 0.03, 4, 3.0
 """Sizes are corrected while the number of cells or vertices is off by more than this part, at most
-so often; the nearest result is taken."""
+so often, and to so many times the cells that are expected at first; the nearest result is taken."""
 
 
 def _count(outcome: Outcome, wish: Wish) -> int:
@@ -239,8 +242,9 @@ def _tries(
     Where figures fall, sizes give way to those that the surface has reached, and then to those of
     the input. Where the surface cuts through itself, and around small regions whose volume becomes
     another, it may use less of the envelope; such a region stays where that does not help. Cells of
-    the input stay where cells that it does not allow came nevertheless; within smaller and smaller
-    parts of the envelope, at last with a boundary that stays.
+    the input stay where cells that it does not allow came nevertheless, and sizes fall from there,
+    see :func:`beside_whole`; within smaller and smaller parts of the envelope, at last with a
+    boundary that stays.
     """
     whys: list[str] = []
     slides = options.boundary == "slide"
@@ -256,7 +260,8 @@ def _tries(
             whys.append(broken[0])
             spoiled = _spoiled(mesh, outcome, wanted, options)
             falls = _fallen(mesh, outcome, options, few=0.0 < spoiled.mean() <= FEW_SPOILED)
-            if falls and share > 0.0 and not relents:
+            if falls and share > 0.0 and not relents and (
+                    wanted.values > CLOSE * local_sizes(mesh)).any():
                 relents = True
                 continue
             nearer = _nearer(mesh, wanted, spoiled) if falls else None
@@ -269,10 +274,14 @@ def _tries(
                 narrow = np.where(near, NARROWER * narrow, narrow)
                 continue
             spoiled = (spoiled | small[mesh.cells].all(axis=1)) & ~held.frozen
-            if not spoiled.any() or held.frozen.mean() > MOST_HELD or (
-                    spoiled | held.frozen).mean() > NEARLY_ALL:
+            few = spoiled.any() and held.frozen.mean() <= MOST_HELD and (
+                spoiled | held.frozen).mean() <= NEARLY_ALL
+            if few:
+                held = freeze(held, held.frozen | spoiled)
+            longer = beside_whole(held, wanted, spoiled, slides=share > 0.0)
+            if not few and not (falls and longer):
                 break
-            held = freeze(held, held.frozen | spoiled)
+            wanted = longer or wanted
     return None, whys[-1]
 
 
@@ -462,16 +471,13 @@ def _resized(
     # lengths in a metric have no unit
     unit = 1.0 if len(mesh.metric) else frame.scale
     values = LONGER * sizes.values[frame.vertices] * unit
-    hold = np.where(mesh.fixed | mesh.anchored, STAYS, FREELY).astype(np.uint8)
-    hold[mesh.cells[mesh.frozen]] = STIFF
-    hold[mesh.stays] = STIFF
     threads = worth(options.threads, max(len(mesh.cells), int(sizes.cells)))
     with thread_pool(threads) as pool:
         field = make_density(
             NodalDensity(values, 1.0), None, start.seen, start.cells, None)
         reach = shares[frame.vertices] * (envelope_length(mesh, options) - mesh.sag) * frame.scale
         body, guard, scratch, names = lay_out(
-            start, hold[frame.vertices], reach, options.feature_angle,
+            start, holds(mesh)[frame.vertices], reach, options.feature_angle,
             extremes(_allowed(mesh, options), tuple(options.keep)).cells)
         were = [frame.vertices[s.rows[s.live()]] for s in (body.segments, body.triangles)]
         work = Resizing(body, guard, scratch, field, field.walk_start(len(start.points)), log,

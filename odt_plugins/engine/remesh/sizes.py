@@ -28,6 +28,9 @@ LEAST = 1e-6
 FINER = 1.1
 """Multiple of its size that must have been asked for at a vertex which is told to be finer."""
 
+STEEP = 3.0
+"""Growth with which sizes fall from edges that stay long."""
+
 PASSES = 2
 """Averaging passes over the logarithm of the sizes that the input has."""
 
@@ -66,6 +69,15 @@ class Sizes:
             return replace(self, values=values)
         return replace(self, values=grown(mesh.points, unique_edges(mesh.cells), values,
                                           self.growth))
+
+    def above(self, mesh: SimplexMesh, least: FloatArray) -> Sizes:
+        """The smallest sizes that are no shorter than ``least`` (n,), and fall from there."""
+        values = np.maximum(self.values, least)
+        if len(mesh.metric):
+            return replace(self, values=values)
+        most = 2.0 * values.max()
+        return replace(self, values=np.maximum(values, most - grown(
+            mesh.points, unique_edges(mesh.cells), most - least, STEEP)))
 
 
 def wanted_sizes(mesh: SimplexMesh, wish: Wish, given: Any = None) -> Sizes:
