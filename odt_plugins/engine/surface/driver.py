@@ -7,7 +7,7 @@ import time
 from collections.abc import Container
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from odt_plugins.engine.ground.features import (
 from odt_plugins.engine.ground.sheet import LINE, LOCKED, Guards, Limits
 from odt_plugins.engine.odt.rounds import Log
 from odt_plugins.engine.policy import POLICY
-from odt_plugins.engine.record.figures import COS_SMALL, Figures, figures
+from odt_plugins.engine.record.figures import COS_SMALL, Figures, cell_shapes, figures
 from odt_plugins.engine.record.memory import Memory, State, having
 from odt_plugins.engine.record.progress import in_turn
 from odt_plugins.engine.run.best import ALONE, best_state, input_returned
@@ -42,6 +42,7 @@ from odt_plugins.engine.surface.rounds import check_method, smooth_surface
 from odt_plugins.engine.topology.frame import Frame, callers_vertices
 from odt_plugins.engine.topology.star import vertex_stars
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
+from odt_plugins.mesh.facets import row_keys
 from odt_plugins.mesh.seen import as_seen
 from odt_plugins.mesh.simplex import SimplexMesh, diagonal
 from odt_plugins.mesh.surface import Edges, surface_edges
@@ -54,6 +55,10 @@ COMPOUND = Phase(2.0, 1.0, 20, 2, 2, enough=0.97, name="compound")
 
 TAIL = (Phase(4.0, 0.05, 10, 2, name="tail 1"), Phase(8.0, 0.01, 10, 2, name="tail 2"))
 """Phases for the worst triangles; beyond p = 8 the envelope leaves them nothing to gain."""
+
+REGAIN = Phase(0.5, 1.0, 20, 2, name="regain")
+"""Phase for the mean, where phases for worse triangles cost it."""
+
 
 def descents(objective: Objective) -> tuple[tuple[Phase, ...], ...]:
     """Phases that follow the bulk, one descent after another; the best of the results is taken."""
@@ -231,7 +236,14 @@ def _attempts(
                 broken = [f"{name} would be worse" for name in memory.worse]
                 alone |= spoiled
                 continue
-            _finishing_alone(start, options, alone, memory, log)
+            for _ in range(POLICY.surface_attempts):
+                _finishing_alone(start, options, alone, memory, log)
+                if memory.states or not {"share_below_20", "mean_quality"} & set(memory.worse):
+                    break
+                small = _newly_small(start, memory)
+                if not small.any():
+                    break
+                alone |= _with_rings(mesh, small, 1)
         clock = time.perf_counter()
         judge = partial(_judged, start, kept, options, leaving)
         outcome, faulty = best_state(memory, judge, log, reason)
@@ -350,11 +362,26 @@ def _finishing_alone(
     log.add(f"runs of {ALONE}", 1)
     clock = time.perf_counter()
     surface, _, _ = _build(start, options, alone)
-    strict = extremes(memory.before, tuple(options.keep)).cells
-    for phases in (bulk(2, options.objective), *descents(options.objective)):
-        _settle(surface, phases, strict, log)
+    strict = extremes(memory.before, tuple(options.keep))
+    if "share_below_20" in memory.worse:
+        strict = strict.with_large(COS_SMALL)
+    first = ((REGAIN,),) if "mean_quality" in memory.worse else ()
+    for phases in (*first, bulk(2, options.objective), *descents(options.objective)):
+        _settle(surface, phases, strict.cells, log)
         memory.offer(surface, ALONE)
     log.add_time("finishing", time.perf_counter() - clock)
+
+
+def _newly_small(start: SurfaceStart, memory: Memory) -> BoolArray:
+    """Vertices, (n,) bool, of triangles of a small angle that the last refused state alone has."""
+    refused: Any = memory.refused
+    small = refused.cells[cell_shapes(refused.points, refused.cells)[:, 1] > COS_SMALL]
+    n = len(start.points)
+    own, new = (row_keys(np.sort(rows, axis=1).astype(np.int64), n)
+                for rows in (start.cells, small))
+    found = np.zeros(len(start.mesh.points), dtype=np.bool_)
+    found[start.frame.vertices[small[~np.isin(new, own)]]] = True
+    return found
 
 
 def _build(
