@@ -10,8 +10,9 @@ from odt_plugins.engine.ground.features import Features
 from odt_plugins.engine.retile.tracks import Tracks
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 
-GROWTH = 0.3
-"""Most by which the size changes over a length of 1."""
+GROWTH, FALL = 0.3, 1.0
+"""Most by which the size changes over a length of 1, and by how much it falls from edges that stay
+long."""
 
 LEAST = 1e-6
 """Smallest part of a size that edges which stay, or are between vertices at one place, leave."""
@@ -74,5 +75,5 @@ def fitting(
         top = 2.0 * max(out.max(), (total[longer] / count[longer]).max())
         below = np.full(len(out), top)
         below[longer] = top - (total[longer] / count[longer])
-        out = np.maximum(out, top - spread(points, edges, below))
+        out = np.maximum(out, top - spread(points, edges, below, FALL))
     return out

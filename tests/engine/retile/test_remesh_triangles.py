@@ -45,6 +45,22 @@ def test_rims_in_the_plane_slide_along_themselves():
     assert odt_plugins.quality((points, cells)).min_quality > fixed.min_quality
 
 
+@pytest.mark.parametrize("part", [0.1, 0.2])
+def test_inside_a_rim_that_stays_edges_are_as_short_as_asked_for(part):
+    points, cells = shaken_square()
+    size = part * 2 / 12
+    new, rows = odt_plugins.remesh((points, cells), size, boundary="fixed")
+    rim = np.abs(points).max(axis=1) == 1.0
+    assert {tuple(x) for x in new[np.abs(new).max(axis=1) == 1.0]} == {
+        tuple(x) for x in points[rim]}
+    edges = np.unique(np.sort(np.concatenate(
+        [rows[:, [0, 1]], rows[:, [1, 2]], rows[:, [2, 0]]]), axis=1), axis=0)
+    length = np.linalg.norm(new[edges[:, 0]] - new[edges[:, 1]], axis=1)
+    far = 1.0 - np.abs(new[edges]).max(axis=(1, 2)) > 0.25
+    assert ((length[far] > size / 2**0.5) & (length[far] < size * 2**0.5)).mean() > 0.97
+    assert odt_plugins.quality((new, rows)).min_quality > 0.6
+
+
 @pytest.mark.parametrize("planar", [True, False])
 def test_fields_and_labels_come_back(planar):
     points, cells = bowl(25, 0.3)
