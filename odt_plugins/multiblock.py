@@ -72,7 +72,7 @@ def run_parts(
     touch, rims = _shared(shown)
     if options.get("boundary") == "slide" and touch:
         msg = (f"got boundary='slide' for {whole.PARTS} that touch, which would come apart; "
-               f"expected 'fixed', try {whole.TOGETHER}")
+               f"expected boundary='fixed', try {whole.TOGETHER}")
         raise InvalidOptionError(msg)
     results, reports = [], []
     with telling(options.get("progress"), "preparing") as progress:

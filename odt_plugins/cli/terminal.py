@@ -23,6 +23,9 @@ from odt_plugins.progress import shown
 
 PLOT_SUFFIXES = (".png", ".pdf", ".svg")
 
+JOINED = "an INPUT whose geometries are joined to one"
+"""What there is to try on the command line where Python has a method of scenes."""
+
 
 class ShareOption(click.Option):
     """A switch, or a number that follows it."""
@@ -140,7 +143,11 @@ def progress_bar(quiet: bool) -> Iterator[Progress | bool]:
 
 
 def in_flags(text: str) -> str:
-    """Name options by their flags: "try --insert" for "try insert=True", "--keep" for "keep="."""
+    """Name options by their flags: "try --insert" for "try insert=True", "--keep" for "keep=".
+
+    A method of scenes becomes what is to be done with the file.
+    """
+    from odt_plugins.adapters.trimesh_scene import TOGETHER
     from odt_plugins.remeshing import WISHES
 
     def flag(found: re.Match[str]) -> str:
@@ -152,6 +159,7 @@ def in_flags(text: str) -> str:
     own = (name for name, about in OPTIONS.items() if about.metadata["flag"] is not None)
     names = "|".join(("size", *WISHES, *own))
     value = r"""'[^']*'|"[^"]*"|\([^()]*\)|[-+.\w]*\w"""
+    text = text.replace(TOGETHER, JOINED)
     text = re.sub(r"smoothing=\{'(\w+)': '?([^{}']*)'?\}", r"--smoothing \1=\2", text)
     text = re.sub(rf"(?<![\w.-])({names})=({value})", flag, text)
     return re.sub(rf"(?<![\w.-])({names})=(?=[\s,.;)]|$)",
