@@ -201,7 +201,8 @@ def write_file(
     path : path            target
     mesh : meshio.Mesh     not changed
     file_format : str      one of FILE_FORMATS, where the suffix leaves a choice; None takes
-                           version 4.1 for meshes that were read from such files
+                           version 4.1 for meshes that were read from such files, and for arrays of
+                           cells of several types, which meshio does not take from version 2.2
     binary : bool          or as text; None takes what the file is that the mesh was read from, if
                            it is of the same format, or else binary
 
@@ -356,6 +357,7 @@ def chosen_format(
         tags = {gmsh_tables.PHYSICAL, gmsh_tables.ENTITY} & set(mesh.cell_data)
         whole = tags and gmsh_tables.NODE_ENTITY in mesh.point_data
         whole = whole or (gmsh_tables.PHYSICAL not in mesh.cell_data and mesh.cell_sets)
+        whole = whole or _has_views_of_blocks(mesh)
         name = FILE_FORMATS[file_format or ("gmsh41" if whole else "gmsh22")]
         if binary is None:
             binary = not (isinstance(mesh.info, dict) and mesh.info.get("text"))
@@ -364,6 +366,17 @@ def chosen_format(
         msg = f"got {kind} files for {path.name}; expected None, the format has only one kind"
         raise InvalidOptionError(msg)
     return name, binary
+
+
+def _has_views_of_blocks(mesh: Any) -> bool:
+    """Whether cells of several types have arrays, and no file of Gmsh is where they come from.
+
+    meshio takes such arrays from files of version 4.1 alone.
+    """
+    origin = getattr(mesh, meshio_mesh.ORIGIN, None)
+    own = {gmsh_tables.PHYSICAL, gmsh_tables.ENTITY}
+    return (not (origin and origin.format == "gmsh") and bool(set(mesh.cell_data) - own)
+            and len({block.type for block in mesh.cells}) > 1)
 
 
 def _write_and_compare(

@@ -287,3 +287,32 @@ def test_damaged_files_of_version_41_are_refused(text, model, tmp_path):
         path.write_bytes(re.sub(rb"(\$Elements\n.*\n.*\n\d+ )\d+", rb"\g<1>99999", whole, count=1))
         with pytest.raises(MeshFileError, match="it refers to node 99999, which is not there"):
             files.read_file(path)
+
+
+def test_labels_of_cells_of_several_types_are_read_by_meshio_and_gmsh(tmp_path):
+    gmsh = pytest.importorskip("gmsh")
+    points, cells, labels = contract.grid(3, 3)
+    below = points[:, 2] == points[:, 2].min()
+    sides = np.concatenate([np.delete(cells, k, axis=1) for k in range(4)])
+    sides = sides[below[sides].all(axis=1)]
+    meshio.write(tmp_path / "a.mesh", meshio.Mesh(
+        points, [("triangle", sides), ("tetra", cells)],
+        cell_data={"medit:ref": [np.full(len(sides), 7), labels + 3]}))
+    odt_plugins.optimize(tmp_path / "a.mesh", target=tmp_path / "b.msh")
+    told = meshio.read(tmp_path / "b.msh")
+    for kind, values in zip(told.cells, told.cell_data["medit:ref"], strict=True):
+        one = np.full(len(sides), 7) if kind.type == "triangle" else labels + 3
+        assert np.array_equal(np.unique(values), np.unique(one))
+    gmsh.initialize(interruptible=False)
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        gmsh.open(str(tmp_path / "b.msh"))
+        views = [gmsh.view.getModelData(view, 0) for view in gmsh.view.getTags()]
+        (tags, values), = ((view[1], view[2]) for view in views if view[0] == "ElementData")
+        _, own, _ = gmsh.model.mesh.getElements(2)
+        flat = [value[0] for tag, value in zip(tags, values, strict=True) if tag in {*own[0]}]
+        assert flat == [7] * len(sides)
+    finally:
+        gmsh.finalize()
+    files.write_file(tmp_path / "c.msh", files.read_file(tmp_path / "a.mesh"), "gmsh22")
+    assert (tmp_path / "c.msh").read_bytes().startswith(b"$MeshFormat\n2.2")
