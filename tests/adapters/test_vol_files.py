@@ -74,7 +74,8 @@ def test_all_sections_stay(form, tmp_path):
 
 def test_identified_faces_still_match_when_the_surface_slides(tmp_path):
     two_boxes(tmp_path / "a.vol")
-    with pytest.warns(DataNotKeptWarning, match="parameters of corners of triangles that moved"):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
         optimize_file(tmp_path / "a.vol", tmp_path / "b.vol", boundary="slide", free="periodic")
     report = optimize_file(tmp_path / "a.vol", tmp_path / "b.vol", boundary="slide")
     assert any("periodic" in note for note in report.notes)
@@ -317,10 +318,14 @@ def parameters(path):
     return {name: (np.array(rows)[:, :3], np.array(rows)[:, 3:]) for name, rows in out.items()}
 
 
-def test_corners_of_new_triangles_have_parameters_of_their_places(tmp_path):
+@pytest.mark.parametrize("run", [remesh, optimize])
+def test_corners_of_triangles_have_parameters_of_their_places(run, tmp_path):
     """Those of a plane face are linear, those of a round one are within the turn of a triangle."""
     a_body().Save(str(tmp_path / "a.vol"))
-    write_file(tmp_path / "b.vol", remesh(read_file(tmp_path / "a.vol"), scale=0.7))
+    how = {"scale": 0.7} if run is remesh else {"boundary": "slide"}
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        write_file(tmp_path / "b.vol", run(read_file(tmp_path / "a.vol"), **how))
     before, after = (parameters(tmp_path / f"{name}.vol") for name in "ab")
     assert {*before} == {*after}
     plane = 0
@@ -336,6 +341,34 @@ def test_corners_of_new_triangles_have_parameters_of_their_places(tmp_path):
             turns = [np.exp(1j * (angle - sign * value)) for sign in (1, -1)]
             assert min(np.ptp(np.angle(z / z[0])) for z in turns) < 0.1
     assert plane == 8
+
+
+def test_ends_of_segments_that_slide_have_parameters_of_their_places(tmp_path):
+    """Those of straight edges are linear."""
+    a_body().Save(str(tmp_path / "a.vol"))
+    write_file(tmp_path / "b.vol", optimize(read_file(tmp_path / "a.vol"), boundary="slide"))
+    found = []
+    for name in "ab":
+        data = (tmp_path / f"{name}.vol").read_bytes()
+        head = re.search(rb"edgesegmentsgi3\n(\d+)\n", data)
+        lines = data[head.end():].split(b"\n", int(head[1]))[:-1]
+        rows = np.array([line.split() for line in lines], dtype=float)
+        ends, told = rows[:, :2].astype(int).ravel() - 1, rows[:, 4:6].ravel()
+        found.append((np.array(loaded(tmp_path / f"{name}.vol").Coordinates())[ends], told,
+                      np.repeat(rows[:, 6], 2)))
+    (old, was, edge), (new, now, same) = found
+    assert np.array_equal(edge, same)
+    moved = (old != new).any(axis=1)
+    assert moved.sum() > 10
+    straight = 0
+    for number in np.unique(edge):
+        own = edge == number
+        wide, narrow = (np.column_stack([p[own], np.ones(own.sum())]) for p in (old, new))
+        fit = np.linalg.lstsq(wide, was[own], rcond=1e-9)[0]
+        if np.abs(wide @ fit - was[own]).max() < 1e-5:
+            straight += (moved & own).sum()
+            assert narrow @ fit == pytest.approx(now[own], abs=1e-4)
+    assert straight > 5
 
 
 def test_segments_of_older_files_are_resized(tmp_path):

@@ -1,7 +1,8 @@
 """Netgen's files, .vol: descriptors, names and geometry stay as they are, cells and points do not.
 
 What is told of a corner of a triangle, or of an end of a segment, is its place on the surface or
-along the edge; new ones are where the triangle, or the segment, that they come from has them.
+along the edge; those that are new or moved are where the triangle, or the segment, that they come
+from has them.
 """
 
 from __future__ import annotations
@@ -219,7 +220,7 @@ def _with_lines(data: bytes, mesh: Any) -> Any:
 
 
 def rewrite(source: Path, target: Path, change: Change) -> list[str]:
-    """Replace the places of points, and the rows of cells that were exchanged.
+    """Replace the places of points, the rows of exchanged cells, and what is told of moved corners.
 
     Raises
     ------
@@ -242,14 +243,17 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
     lost: list[str] = []
     for of in (SURFACE, VOLUME):
         kinds = [kind for kind in NODES if (kind[:3] == "tet") == (of == VOLUME)]
-        changed = [i for i, block in enumerate(before)
-                   if block.type in kinds and _changed(change, i)]
-        if not changed:
+        own = [i for i, block in enumerate(before) if block.type in kinds]
+        exchanged = [i for i in own if _changed(change, i)]
+        moved = [i for i in own if of == SURFACE and _moved(change, i)]
+        if not exchanged and not moved:
             continue
-        curved = section(data, rb"curvedelements") is not None
         cells = elements(data, of)
-        edits += _exchanged(data, change, cells,
-                            _blocks(change, cells.rows, {before[i].type for i in changed}))
+        if not exchanged and not any(row.parameters for row in cells.rows):
+            continue
+        curved |= bool(exchanged) and section(data, rb"curvedelements") is not None
+        edits += _exchanged(data, change, cells, _blocks(
+            change, cells.rows, {before[i].type for i in exchanged + moved}))
     if curved:
         found_at = CURVED.search(data)
         if found_at is None:
@@ -257,17 +261,14 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
             raise NotRewritable(msg)
         edits.append((*found_at.span(), b""))
         lost.append("the section curvedelements")
-    if any(_changed(change, i) for i in lines):
+    told = any(row.parameters for row in found.rows)
+    if any(_changed(change, i) or (told and _moved(change, i)) for i in lines):
         parts = lines_of(found.rows, label)
         if len(parts) != len(lines):
             msg = "its segments are not the lines that were read"
             raise NotRewritable(msg)
         edits += _exchanged(data, change, found, [
             (i, own, [0, 1]) for i, own in zip(lines, parts, strict=True)])
-    if edits and not change.renumbered and section(data, rb"surfaceelementsuv") is not None:
-        flat = [block.data for block in change.after.cells if block.type in ("triangle", "quad")]
-        if flat and change.moved[np.concatenate([np.ravel(rows) for rows in flat])].any():
-            lost.append("the parameters of corners of triangles that moved (those of before there)")
     whole = edited(data, edits)
     target.write_bytes(gzip.compress(whole) if target.suffix.lower() == ".gz" else whole)
     return lost
@@ -277,6 +278,11 @@ def _changed(change: Change, block: int) -> bool:
     """Whether rows of a block of cells are others, or other ones of the file."""
     return bool(change.renumbered or change.exchanged(block).any() or not np.array_equal(
         change.cells[block], np.arange(len(change.before.cells[block].data))))
+
+
+def _moved(change: Change, block: int) -> bool:
+    """Whether nodes of a block of cells are new or elsewhere."""
+    return bool(change.moved[change.after.cells[block].data].any())
 
 
 def _placed(data: bytes, change: Change) -> list[Edit]:
@@ -372,6 +378,8 @@ def _exchanged(
         lines |= {r: [] for r in own.tolist()}
         after = np.asarray(change.after.cells[i].data)[:, order]
         old, fresh = own[change.cells[i]], change.exchanged(i) | change.renumbered
+        if rows and rows[0].parameters:
+            fresh = fresh | change.moved[change.after.cells[i].data].any(axis=1)
         there = iter(_told(change, rows, old[fresh], after[fresh]))
         for r, nodes, other in zip(old.tolist(), (after.astype(np.int64) + 1).tolist(),
                                    fresh.tolist(), strict=True):
