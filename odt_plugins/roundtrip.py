@@ -204,8 +204,11 @@ def run_engine(
     )
     if given.higher_order and not work.host.higher_order:
         result = elevated(result, given, locating(work, near))
-        told["nodes"] = len(result.points)
-    return work.adapter.write(result, given), before, outcome, told
+    out = work.adapter.write(result, given)
+    if given.higher_order:
+        # The writer puts nodes on edges and faces, of which there are others.
+        told["nodes"] = len(find_adapter(out).read(out, None).points)
+    return out, before, outcome, told
 
 
 def optimized(mesh: SimplexMesh, options: Options, leaving: Leaving) -> Outcome:

@@ -143,6 +143,17 @@ def test_mid_nodes_follow_their_edges(host, d):
 
 
 @pytest.mark.parametrize("host", WITH_DATA)
+def test_the_report_counts_the_nodes_of_before_and_afterwards(host):
+    pytest.importorskip(host)
+    points, rows, labels = quadratic_grid(3)
+    mesh = MAKERS[host](points, rows, labels, {}, 3)
+    out, report = odt_plugins.optimize_with_report(mesh)
+    now = view(out, 3)[0]
+    assert len(now) != len(points)
+    assert (report.before.n_points, report.after.n_points) == (len(points), len(now))
+
+
+@pytest.mark.parametrize("host", WITH_DATA)
 def test_without_flips_all_indices_stay_and_nothing_is_lost(host, d):
     pytest.importorskip(host)
     points, rows, labels = quadratic_grid(d)
