@@ -116,3 +116,18 @@ def test_mmg_reads_the_metric_that_was_written(d, tmp_path):
     edges = (rows - np.roll(rows, 1, axis=1)).reshape(-1, d)
     along = (edges @ long) ** 2
     assert along.mean() > 2.0 * ((edges**2).sum(axis=1) - along).mean() / (d - 1)
+
+
+@pytest.mark.parametrize("harm", ["cut", "version", "field"])
+def test_a_broken_binary_file_is_refused_in_one_sentence(harm, tmp_path):
+    made(3, tmp_path, ".meshb")
+    path = tmp_path / "a.meshb"
+    data = bytearray(path.read_bytes())
+    if harm == "cut":
+        del data[len(data) // 2:]
+    else:
+        at = 4 if harm == "version" else 8
+        data[at:at + 4] = struct.pack("<i", 77)
+    path.write_bytes(data)
+    with pytest.raises(MeshFileError, match="cannot read"):
+        odt_plugins.quality(path)

@@ -78,7 +78,9 @@ def broken(before: Mesh, after: Mesh, options: Options, *, curved: bool = False)
         return faults
     if curved and _is_soup(before) and not _soup(before, after, options):
         return []
-    held = _held(before, options, curved=curved)
+    slides = options.boundary == "slide"
+    plane = slides and not curved and before.cells.shape[1] == 3
+    held = _held(before, options, curved=curved or plane)
     if options.insert and not curved:
         names = _names(before.points, after.points)
         lost = _lost(*names, held)
@@ -95,8 +97,9 @@ def broken(before: Mesh, after: Mesh, options: Options, *, curved: bool = False)
         faults += _figures(before, after, options)
     if curved:
         return faults + _surface(before, after, options)
-    slides = options.boundary == "slide" and before.cells.shape[1] == 4
     faults += _orientation(before, after, options)
+    if plane:
+        return faults + _volume(before, after, slides=True) + _in_plane(before, after, options)
     faults += _facets(before, after, names, slides=slides)
     faults += _volume(before, after, slides=slides)
     if slides:
@@ -137,10 +140,7 @@ def broken_by_sizes(before: Mesh, after: Mesh, options: Options, *, curved: bool
     for what, (was, now) in {"mesh": (before.cells, after.cells), "boundary": rims}.items():
         if euler(was) != euler(now):
             faults.append(f"the Euler number of the {what} is {euler(now)}, it was {euler(was)}")
-    x, y = (np.pad(m.points, ((0, 0), (0, 3 - m.points.shape[1]))) for m in (before, after))
-    # An edge is a triangle that has one end twice.
-    a, b = (skin[:, np.arange(3) % skin.shape[1]] for skin in skins)
-    return faults + beyond(x, a, y, b, free, before.cells)
+    return faults + _beyond_of(before, skins[0], after, skins[1], free)
 
 
 def euler(rows: np.ndarray) -> int:
@@ -242,7 +242,7 @@ def _held(mesh: Mesh, options: Options, *, curved: bool) -> np.ndarray:
         held |= _mask(options.fixed, n)
     if options.selection is not None:
         held[mesh.cells[~_mask(options.selection, m)]] = True
-    slides = options.boundary == "slide" and mesh.cells.shape[1] == 4
+    slides = options.boundary == "slide"
     if not curved:
         for facet, rim in _locked(_owners(mesh)):
             if not (rim and slides):
@@ -301,7 +301,8 @@ def _figures(before: Mesh, after: Mesh, options: Options) -> list[str]:
     faults: list[str] = []
     if options.metric is not None:
         metric = np.asarray(options.metric)
-        if metric.ndim != 3 or (metric != metric[:1]).any():
+        if metric.ndim != 3 or metric.shape[2] != before.points.shape[1] or (
+                metric != metric[:1]).any():
             return faults
         root = np.linalg.cholesky(metric[0])
         before, after = (m._replace(points=m.points @ root) for m in (before, after))
@@ -470,6 +471,35 @@ def _slid(before: Mesh, after: Mesh, options: Options) -> list[str]:
     skin = [f for f, labels in _owners(ground).items() if len(labels) == 1]
     return faults + beyond(ground.points, np.array(skin), after.points, np.array(b), options,
                          ground.cells)
+
+
+def _rim(mesh: Mesh) -> np.ndarray:
+    """Facets of one cell alone, or of cells of two labels."""
+    return np.array([f for f, _ in _locked(_owners(mesh))])
+
+
+def _in_plane(before: Mesh, after: Mesh, options: Options) -> list[str]:
+    """Lines that slid in a plane have their edges, and are within the envelope."""
+    ground = before if options.reference is None else Mesh(*options.reference)
+    first, old, new = (m._replace(points=np.pad(m.points, ((0, 0), (0, 3 - m.points.shape[1]))))
+                       for m in (ground, before, after))
+    options = replace(options, metric=None) if options.reference is None else replace(
+        options, metric=None, reference=tuple(first)[:2])
+    faults = _surface(old, new, options)
+    # The labels of a reference are unknown.
+    if options.reference is None:
+        faults += _beyond_of(old, _rim(old), new, _rim(new), options)
+    return faults
+
+
+def _beyond_of(
+    old: Mesh, old_rows: np.ndarray, new: Mesh, new_rows: np.ndarray, options: Options
+) -> list[str]:
+    """Samples of triangles, or of edges, are within the envelope of the others."""
+    x, y = (np.pad(m.points, ((0, 0), (0, 3 - m.points.shape[1]))) for m in (old, new))
+    # An edge is a triangle that has one end twice.
+    a, b = (rows[:, np.arange(3) % rows.shape[1]] for rows in (old_rows, new_rows))
+    return beyond(x, a, y, b, options, old.cells)
 
 
 def beyond(

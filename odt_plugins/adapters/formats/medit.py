@@ -66,7 +66,7 @@ def read(path: Path) -> Any:
     import meshio
 
     if path.suffix.lower() == ".meshb":
-        return _with_solutions(path, meshio.read(path, file_format="medit"))
+        return _with_solutions(path, meshio.medit.read(path))
     words, sections = _parsed(path.read_bytes())
     texts = [word[0] for word in words]
     if not any(section.name == "Vertices" for section in sections):
