@@ -66,7 +66,8 @@ def read(path: Path) -> Any:
     import meshio
 
     if path.suffix.lower() == ".meshb":
-        return _with_solutions(path, meshio.medit.read(path))
+        binary: Any = meshio.medit.read
+        return _with_solutions(path, binary(path))
     words, sections = _parsed(path.read_bytes())
     texts = [word[0] for word in words]
     if not any(section.name == "Vertices" for section in sections):
