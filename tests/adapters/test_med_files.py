@@ -190,6 +190,24 @@ def test_names_of_single_letters_are_read(gmsh, tmp_path):
     assert {(3, "steel"), (3, "bodies"), (2, "inlet")} == set(groups(gmsh, tmp_path / "b.med")[0])
 
 
+@pytest.mark.parametrize("name", ["Körper aus Stahl", "a/b", "x" * 75, "ä" * 40])
+def test_names_of_any_letters_are_those_of_groups(gmsh, tmp_path, name):
+    points, cells, _ = contract.grid(3, 3)
+    rows = np.arange(len(cells))
+    mesh = meshio.Mesh(points, [("tetra", cells)], cell_sets={
+        name: [rows[:20]], "other": [rows[10:]]}, point_sets={name: np.arange(5)})
+    write_file(tmp_path / "a.med", mesh)
+    assert groups(gmsh, tmp_path / "a.med")[0][3, name] == 20
+    back = read_file(tmp_path / "a.med")
+    assert np.array_equal(back.cell_sets[name][0], rows[:20])
+    assert np.array_equal(back.point_sets[name], np.arange(5))
+    with h5py.File(tmp_path / "a.med") as file:
+        families = [word for home in file["FAS"].values() for kind in ("ELEME", "NOEUD")
+                    for word in home[kind]]
+    assert len(families) == 4
+    assert max(len(word.encode()) for word in families) <= 64
+
+
 def test_labels_and_sets_are_families(gmsh, tmp_path):
     mesh = mesh_of_everything()
     mesh.point_sets["few"] = np.arange(5)

@@ -73,8 +73,8 @@ REWRITERS: dict[str, Callable[[Path, Path, Change], list[str]]] = {
 """Rewriters by the name of the format in meshio: source, target and change, to what is lost."""
 
 WRITERS: dict[str, Callable[[Path, Any, bool | None], list[str]]] = {
-    "abaqus": abaqus_write.write, "exodus": exodus_write.write, "medit": medit.write,
-    "nastran": nastran_write.write,
+    "abaqus": abaqus_write.write, "exodus": exodus_write.write, "med": med.write,
+    "medit": medit.write, "nastran": nastran_write.write,
     "netgen": vol.write, "obj": obj.write, "off": off.write, "ply": ply.write,
     "stl": stl.write,
 }

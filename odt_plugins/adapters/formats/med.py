@@ -99,6 +99,33 @@ def read(path: Path) -> Any:
     return mesh
 
 
+def write(path: Path, mesh: Any, binary: bool | None) -> list[str]:
+    """Write a mesh with families by meshio, and names that the MED library reads.
+
+    meshio names families by all of their groups, which may be longer than MED allows or have
+    slashes, and writes letters of groups that are not of ASCII as others.
+    """
+    import h5py
+    import meshio
+
+    kinds = {"ELEME": getattr(mesh, "cell_tags", {}), "NOEUD": getattr(mesh, "point_tags", {})}
+    mesh.cell_tags, mesh.point_tags = (
+        {number: [str(i) for i in range(len(names))] for number, names in families.items()}
+        for families in kinds.values())
+    meshio.write(path, mesh, file_format="med")
+    mesh.cell_tags, mesh.point_tags = kinds.values()
+    with h5py.File(path, "r+") as file:
+        for home in file["FAS"].values():
+            for kind in [word for word in kinds if word in home]:
+                for word, family in list(home[kind].items()):
+                    number = int(family.attrs["NUM"])
+                    letters = [name.encode().ljust(LONGEST, b"\0") for name in kinds[kind][number]]
+                    family["GRO"]["NOM"][...] = np.frombuffer(
+                        b"".join(letters), dtype=np.int8).reshape(-1, LONGEST)
+                    home[kind].move(word, f"FAM_{number}")
+    return []
+
+
 def step_of(file: Any) -> tuple[str, Any]:
     """Name of the mesh, and where its nodes and cells are.
 

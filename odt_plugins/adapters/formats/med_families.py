@@ -69,7 +69,8 @@ def _families(
     """Number (n,) of the family of everything, 0 of what is in none, and groups of every family."""
     table = np.stack([label, *sets.values()], axis=1).astype(np.int64)
     choices, inverse = np.unique(table, axis=0, return_inverse=True)
-    names = [[name[:LONGEST] for name, inside in zip(sets, row[1:], strict=True) if inside]
+    cut = [name.encode()[:LONGEST].decode(errors="ignore") for name in sets]
+    names = [[name for name, inside in zip(cut, row[1:], strict=True) if inside]
              or [str(row[0])] * bool(row[0]) for row in choices.tolist()]
     whole = np.abs(choices[:, 0])
     same = len(np.unique(whole)) == len(whole) and (whole[[bool(own) for own in names]] > 0).all()
