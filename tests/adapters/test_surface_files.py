@@ -145,6 +145,29 @@ def test_obj_of_other_sizes_keeps_materials_groups_colours_and_texture(scale, tm
     assert sorted(part.area for part in scene.geometry.values()) == pytest.approx([1.0, 5.0])
 
 
+@pytest.mark.parametrize("scale", [0.7, 1.5])
+def test_obj_of_other_sizes_keeps_lines_of_creases_beside_texture(scale, tmp_path):
+    box = trimesh.creation.box().subdivide().subdivide()
+    text = [*("v {} {} {}".format(*v) for v in box.vertices),
+            *("vt {} {}".format(*(v[:2] + 0.5)) for v in box.vertices), "g all"]
+    text += ["f " + " ".join(f"{v + 1}/{v + 1}" for v in face) for face in box.faces.tolist()]
+    text += ["o wires"]
+    text += [f"l {a} {b}" for a, b in box.face_adjacency_edges[box.face_adjacency_angles > 1] + 1]
+    (tmp_path / "a.obj").write_text("\n".join(text) + "\n")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", DataNotKeptWarning)
+        write_file(tmp_path / "b.obj", remesh(read_file(tmp_path / "a.obj"), scale=scale))
+    lines = (tmp_path / "b.obj").read_text().splitlines()
+    points = np.array([line.split()[1:] for line in lines if line[:2] == "v "], dtype=float)
+    ends = np.array([line.split()[1:] for line in lines if line[:2] == "l "], dtype=int) - 1
+    assert len(points) != len(box.vertices)
+    assert np.linalg.norm(points[ends[:, 1]] - points[ends[:, 0]], axis=1).sum() == (
+        pytest.approx(12.0))
+    assert np.isclose(np.abs(points[ends]), 0.5).all(axis=1).sum(axis=1).min() == 2
+    assert lines.index("o wires") < next(i for i, x in enumerate(lines) if x[:2] == "l ")
+    assert any(line.startswith("vt ") for line in lines)
+
+
 def test_obj_keeps_colours_and_texture_of_a_seam_where_nothing_moved(ball, tmp_path):
     points, cells, _ = ball
     text = ["v {!r} {!r} {!r} 0.25 0.5 0.75".format(*map(float, v)) for v in points]

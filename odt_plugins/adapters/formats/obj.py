@@ -34,8 +34,9 @@ class _Lines(NamedTuple):
     Attributes
     ----------
     lines : list of bytes        long lines that go on with a backslash as one
-    vertices, texture, normals, faces, ends : list of int    numbers of the lines of each, `ends`
+    vertices, texture, normals, faces, wires : list of int    numbers of the lines of each, `wires`
                                  those of lines through vertices
+    ends : list                  of each of `wires` its vertices
     corners : list               of every face its words, as three numbers from 0 on; -1 for none
     state : list of int          number of the group, object and material of every face
     names : list of str          of these
@@ -46,6 +47,7 @@ class _Lines(NamedTuple):
     texture: list[int]
     normals: list[int]
     faces: list[int]
+    wires: list[int]
     ends: list[list[int]]
     corners: list[list[tuple[int, int, int]]]
     state: list[int]
@@ -179,10 +181,12 @@ def _with_others(found: _Lines, change: Change) -> list[bytes]:
 
     Raises
     ------
-    NotRewritable    there are lines or polygons, or only some triangles have texture coordinates
+    NotRewritable    there are points or polygons, or only some triangles have texture coordinates
     """
     after = change.after
-    if [block.type for block in after.cells] != ["triangle"] or found.ends:
+    kinds = ["triangle", "line"] if found.ends else ["triangle"]
+    if [block.type for block in after.cells] != kinds or any(
+            line.split()[:1] == [b"p"] for line in found.lines):
         msg = "vertices came or went"
         raise NotRewritable(msg)
     texture = _texture(found, change, 0)
@@ -215,6 +219,14 @@ def _with_others(found: _Lines, change: Change) -> list[bytes]:
         faces[source].append(_face(corners, found.lines[found.faces[source]]))
     for at, texts in zip(found.faces, faces, strict=True):
         lines[at] = b"".join(texts)
+    if found.ends:
+        of_pair = [at for at, ends in zip(found.wires, found.ends, strict=True) for _ in ends[1:]]
+        wires: dict[int, list[bytes]] = {at: [] for at in found.wires}
+        for pair, source in zip(np.asarray(after.cells[1].data).tolist(),
+                                change.cells[1].tolist(), strict=True):
+            wires[of_pair[source]].append(b"l %d %d" % (pair[0] + 1, pair[1] + 1) + end)
+        for at, texts in wires.items():
+            lines[at] = b"".join(texts)
     return lines
 
 
@@ -226,7 +238,7 @@ def _lines(data: bytes) -> _Lines:
             lines[-1] = lines[-1].rstrip()[:-1] + b" " + line
         else:
             lines.append(line)
-    out = _Lines(lines, [], [], [], [], [], [], [], [])
+    out = _Lines(lines, [], [], [], [], [], [], [], [], [])
     known: dict[tuple[bytes, ...], int] = {}
     current = dict.fromkeys(STATES, b"")
     for i, line in enumerate(lines):
@@ -247,6 +259,7 @@ def _lines(data: bytes) -> _Lines:
             corners = [_corner(word, counts) for word in words[1:]]
             if head == b"l":
                 out.ends.append([c[0] for c in corners])
+                out.wires.append(i)
                 continue
             key = tuple(current.values())
             if key not in known:
