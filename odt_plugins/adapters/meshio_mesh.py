@@ -108,9 +108,9 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
                                with an index out of range
     InvalidOptionError         there is no cell data of that name
     """
-    found = {block.type for block in mesh.cells if len(block.data)}
+    found = {block.type: np.shape(block.data) for block in mesh.cells if len(block.data)}
     kind = next((kind for kind in KINDS if kind in found), "triangle")
-    shape = _shape(kind, next((np.shape(b.data)[1] for b in mesh.cells if b.type == kind), 3))
+    shape = _shape(kind, found.get(kind, (0, 3))[1])
     for block in mesh.cells:
         known = block.type in LINEAR or _of_order(block, kind, shape)
         if len(block.data) and not known:

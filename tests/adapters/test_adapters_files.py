@@ -153,6 +153,12 @@ def test_files_that_end_too_early_or_have_no_cells_say_so(tmp_path):
         odt_plugins.optimize(node)
 
 
+def test_a_block_of_no_cells_needs_no_columns():
+    mesh = meshio.Mesh(np.eye(3), [("triangle", np.zeros(0, int))])
+    with pytest.raises(InvalidMeshError, match=r"the mesh has no cells \(3 vertices\)"):
+        odt_plugins.optimize(mesh)
+
+
 def test_what_meshio_prints_becomes_one_warning_or_none(tmp_path, capfd):
     mesh = _mesh(3, ["marker"])
     files.write_file(tmp_path / "out.msh", mesh)
