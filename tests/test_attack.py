@@ -23,7 +23,7 @@ from odt_plugins.options import FIGURES, Options
 
 CASES = [("meshes", seed) for seed in range(60, 90)] + [("files", seed) for seed in range(20)]
 CASES += [("metrics", seed) for seed in (2, 3, 11, 14, 24, 25, 29, 36, 40, 49)]
-CASES += [("sizes", seed) for seed in (*range(100, 112), 1163)]
+CASES += [("sizes", seed) for seed in (*range(100, 112), 1163, 157026605105)]
 CASES += [("signals", 1), ("disks", 1), ("disks", 4)]
 
 
@@ -216,6 +216,18 @@ def test_the_judge_names_no_fault_of_a_surface_that_keeps_everything():
     assert broken(mesh, mesh, Options(), curved=True) == []
     other = mesh._replace(cells=flipped(mesh.cells, mesh.labels))
     assert broken(mesh, other, Options(keep=(), envelope=0.2), curved=True) == []
+
+
+def test_rims_in_the_plane_are_measured_from_those_of_a_reference_however_tangled_it_is():
+    points, cells, _ = contract.grid(2, 4)
+    inner = np.argmin(np.abs(points - points.mean(axis=0)).sum(axis=1))
+    tangled = moved(Mesh(points, cells), inner, np.array([2.0, 0.3]) * np.ptp(points))
+    corner = np.lexsort(points.T)[0]
+    after = Mesh(moved(Mesh(points, cells), corner, np.array([-0.004, 0.0])), cells)
+    for envelope, faults in ((0.01, 0), (0.001, 1)):
+        options = Options(boundary="slide", envelope=envelope, reference=(tangled, cells), keep=())
+        found = broken(Mesh(points, cells), after, options, curved=False)
+        assert sum("of its diagonal from the input" in fault for fault in found) == faults, found
 
 
 @pytest.mark.parametrize("mesh", [contract.grid(2, 4)[:2], contract.grid(3, 3)[:2],
