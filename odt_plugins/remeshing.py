@@ -88,7 +88,7 @@ def remesh(
     Raises
     ------
     InvalidOptionError        sizes that are not positive lengths, too small, or for too many cells
-    UnsupportedMeshError      curved cells of higher order, or such of another order than the second
+    UnsupportedMeshError      cells of another order than the first and the second
 
     References
     ----------

@@ -34,6 +34,7 @@ from odt_plugins.adapters.regions import AUTO, CHARTS, are_names
 from odt_plugins.adapters.registry import find_adapter
 from odt_plugins.adapters.wedges import glued, without_seams
 from odt_plugins.aside import note, of_cells, seen, with_others, without_others
+from odt_plugins.bending import leaving_bent, middles, note_on_straight, with_bent
 from odt_plugins.carry import cell_origin, in_input_order, surrounding_cells
 from odt_plugins.curved import Kept, keep_curved, untangled_around
 from odt_plugins.errors import (
@@ -135,8 +136,8 @@ def run_engine(
             work = work._replace(notes=(*work.notes, ADVICE))
         moves = work.mesh.is_surface or options.boundary == "slide"
         work = on_geometry(work) if moves else work
-        leaving = partial(_as_it_leaves, work._replace(mesh=as_after(work.mesh)), options.threads,
-                          onto=moves)
+        leaves: Leaving = partial(_as_it_leaves, work._replace(mesh=as_after(work.mesh)),
+                                  options.threads, onto=moves)
         with words_of(work.host):
             expect_overlaps(work, given, options)
             if wanted.sizes:
@@ -149,9 +150,13 @@ def run_engine(
             work = work._replace(notes=work.notes + left)
             if moves:
                 work, chosen = near_geometry(work, chosen)
+            bent = None
+            if given.higher_order and not work.host.higher_order:
+                work, chosen, bent = with_bent(work, given, chosen, free=moves and wanted.linear)
+                leaves = leaves if bent is None else leaving_bent(leaves, work.mesh)
             then = progress if work.tangle is None else part(progress, wanted.share, 1.0)
             chosen = replace(chosen, progress=tell and then)
-            curved = _run_kept(work, given, engine or optimized, chosen, leaving)
+            curved = _run_kept(work, given, engine or optimized, chosen, leaves)
     work, outcome = work._replace(mesh=as_after(curved.mesh)), curved.outcome
     points: Any = outcome.written
     source: Any = outcome.source
@@ -188,13 +193,14 @@ def run_engine(
     whence = cell_origin(work.host.ids, work.host.total, source, [
         (kept.ids, now.source) for kept, now in zip(given.kept, faces, strict=False)
         if kept.ids is not None and now is not None])
-    told = {"regions_from": work.host.regions_from, "notes": work.notes + outcome.notes,
-            "cell_origin": whence, "plane": work.frame,
-            "carrying": transfer_of(work, given, outcome, written, options, whence),
-            "interpolated": () if vertices is None else fields,
-            "refused": wanted.refused + ("insert",) * (given.higher_order and not given.whole),
-            "tangle": work.tangle, "curved": curved.facts, "layers": layers,
-            "integrals": data.cell_integrals, "point_integrals": data.point_integrals}
+    told: dict[str, Any] = {
+        "regions_from": work.host.regions_from, "notes": work.notes + outcome.notes,
+        "cell_origin": whence, "plane": work.frame,
+        "carrying": transfer_of(work, given, outcome, written, options, whence),
+        "interpolated": () if vertices is None else fields,
+        "refused": wanted.refused + ("insert",) * (given.higher_order and not given.whole),
+        "tangle": work.tangle, "curved": curved.facts, "layers": layers,
+        "integrals": data.cell_integrals, "point_integrals": data.point_integrals}
     result = Result(
         points, as_indices(cells, work.host.cells), source, work.mesh.is_surface,
         feet_of(work.host, work.mesh, places, cells, outcome.origin),
@@ -203,7 +209,9 @@ def run_engine(
         faces=faces,
     )
     if given.higher_order and not work.host.higher_order:
-        result = elevated(result, given, locating(work, near))
+        result, straight = elevated(result, given, locating(work, near),
+                                    bent and middles(bent, outcome, work.frame))
+        told["notes"] += note_on_straight(straight)
     out = work.adapter.write(result, given)
     if given.higher_order:
         # The writer puts nodes on edges and faces, of which there are others.

@@ -1,7 +1,8 @@
-"""Quadratic cells with straight edges whose vertices come and go: as linear ones, and back.
+"""Quadratic cells whose vertices come and go: as linear ones, and back.
 
-The corners are remeshed; every edge then has its node in the middle. The node of an edge that is
-still there is the one that it had, bit for bit where its corners did not move.
+The corners are remeshed; every edge then has its node in the middle, or where the curved surface
+is. The node of an edge that is still there is the one that it had, bit for bit where its corners
+did not move.
 """
 
 from __future__ import annotations
@@ -22,12 +23,19 @@ from odt_plugins.adapters.host import (
     Result,
     as_indices,
 )
-from odt_plugins.errors import UnsupportedMeshError, counted
+from odt_plugins.errors import UnsupportedMeshError
+from odt_plugins.mesh.bernstein import jacobian_bounds
 from odt_plugins.mesh.facets import row_keys
 
 STRAIGHT = 1e-3
 """Largest distance of a node from the middle of its edge, in lengths of the edge, for which the
 edge is straight."""
+
+ROUNDS = 30
+"""How often the place of a node within curved cells is corrected at most."""
+
+CLOSE = 1e-9
+"""Distance, in lengths of an edge, within which a place in a curved cell is the one looked for."""
 
 
 def held(host: HostMesh) -> HostMesh:
@@ -44,6 +52,13 @@ def held(host: HostMesh) -> HostMesh:
     return replace(host, kept=(*host.kept, *kept)) if kept else host
 
 
+class Curved(NamedTuple):
+    """Edges (k, 2) of a surface by their ends, and places (k, D) of their nodes."""
+
+    ends: NDArray[Any]
+    places: NDArray[np.float64]
+
+
 class Edges(NamedTuple):
     """Edges of quadratic cells, each once: ends (k, 2), ascending, and node (k,)."""
 
@@ -56,28 +71,27 @@ def linear(host: HostMesh) -> HostMesh:
 
     Raises
     ------
-    UnsupportedMeshError    cells that are not quadratic, curved edges, or a toolkit that does not
-                            take them back
+    UnsupportedMeshError    cells that are not quadratic, or a toolkit that does not take them back
     """
     if host.nodes is None or host.shape is None or int(host.shape[0, 0]) != 2 or not host.whole:
         msg = "got cells of higher order; expected linear ones, whose vertices come and go"
         raise UnsupportedMeshError(msg)
-    edges = _edges(host)
-    a, b = (np.asarray(host.points, dtype=np.float64)[end] for end in edges.ends.T)
-    off = np.sqrt(((host.points[edges.node] - 0.5 * (a + b)) ** 2).sum(axis=1))
-    curved = np.flatnonzero(off > STRAIGHT * np.sqrt(((b - a) ** 2).sum(axis=1)))
-    if curved.size:
-        k = curved[0]
-        msg = (f"got {counted(curved.size, 'curved edge')} of quadratic cells (node "
-               f"{edges.node[k]} is {off[k]:.3g} off the middle of {edges.ends[k].tolist()}); "
-               "expected straight ones where vertices come and go, try the corners alone")
-        raise UnsupportedMeshError(msg)
     return replace(host, higher_order=False, nodes=None, shape=None, settle=None)
 
 
+def curved_edges(host: HostMesh) -> Edges:
+    """Edges whose nodes are off their middles."""
+    edges, points = _edges(host), np.asarray(host.points, dtype=np.float64)
+    a, b = (points[end] for end in edges.ends.T)
+    off = ((points[edges.node] - 0.5 * (a + b)) ** 2).sum(axis=1)
+    curved = off > STRAIGHT**2 * ((b - a) ** 2).sum(axis=1)
+    return Edges(edges.ends[curved], edges.node[curved])
+
+
 def elevated(
-    result: Result, host: HostMesh, locate: Callable[[NDArray[Any], NDArray[Any]], Any]
-) -> Result:
+    result: Result, host: HostMesh, locate: Callable[[NDArray[Any], NDArray[Any]], Any],
+    curved: Curved | None = None,
+) -> tuple[Result, int]:
     """Put a node on every edge of the result of :func:`linear`.
 
     Parameters
@@ -85,6 +99,12 @@ def elevated(
     result : Result      of the corners; nodes of before are vertices that no cell has
     host : HostMesh      with all nodes
     locate : callable    input cells around places near some input cells, and coordinates there
+    curved : Curved      of the input; of the edges of the result where nodes are not in the middle
+
+    Returns
+    -------
+    result : Result
+    straight : int       edges whose nodes are in the middle lest cells fold
     """
     n, rows = len(host.points), np.asarray(result.cells, dtype=np.int64)
     shape: Any = host.shape
@@ -120,8 +140,17 @@ def elevated(
     at[stays] = index[number[node[stays]]]
     at[~stays] = there.sum() + np.arange((~stays).sum())
     out[at[stays & shifted]] = middle[stays & shifted]
-
     cells = np.concatenate([index[rows], at[inverse.reshape(len(rows), -1)]], axis=1)
+    straight = 0
+    if curved is not None:
+        key = row_keys(np.concatenate([ends, np.sort(curved.ends, axis=1)]), len(points))
+        order = np.argsort(key[: len(ends)])
+        which = order[np.searchsorted(key[: len(ends)][order], key[len(ends):])]
+        new = (~stays | shifted)[which]
+        least = jacobian_bounds(np.asarray(host.points)[nodes], shape).scaled.min()
+        _bend(out, cells, shape, (at[which], curved.places, new), least)
+        straight = _unfold(out, cells, shape)
+
     origin = np.concatenate([origin[there], np.full((~stays).sum(), -1)])
     number = np.where(number < 0, -1, index[number])
     new = origin < 0
@@ -130,14 +159,72 @@ def elevated(
     near = np.zeros(len(out), dtype=np.int32)
     near[cells] = result.source[:, None]
     placed = np.flatnonzero(new)
-    which, weights = locate(out[placed].astype(np.float64), near[placed])
+    x = out[placed].astype(np.float64)
+    which, weights = locate(x, near[placed])
+    if curved is not None:
+        which, weights = _in_curved(host, x, which, weights, locate)
     followed = NewVertices(origin, number, placed, nodes[which].astype(np.int32),
                            shape_values(shape, weights))
     number_of = dict(zip(map(tuple, ends.tolist()), at.tolist(), strict=True))
     faces = tuple(faces and NewFaces(_with_middles(faces.rows, index, number_of), faces.source)
                   for faces in result.faces)
     return result._replace(points=out, cells=as_indices(cells, result.cells), vertices=followed,
-                           locate=None, faces=faces)
+                           locate=None, faces=faces), straight
+
+
+def _in_curved(
+    host: HostMesh, x: NDArray[np.float64], cell: NDArray[Any], weights: NDArray[np.float64],
+    locate: Callable[[NDArray[Any], NDArray[Any]], Any],
+) -> tuple[NDArray[Any], NDArray[np.float64]]:
+    """Curved cells (k,) around places x (k, D), and coordinates there, from those in flat ones."""
+    nodes, shape = np.asarray(host.nodes), np.asarray(host.shape)
+    points = np.asarray(host.points, dtype=np.float64)
+    off, out = np.full(len(x), np.inf), (cell.copy(), weights.copy())
+    left = np.arange(len(x))
+    for _ in range(ROUNDS):
+        if not len(left):
+            break
+        around = points[nodes[cell]]
+        away = x[left] - (shape_values(shape, weights)[:, :, None] * around).sum(axis=1)
+        size = (away * away).sum(axis=1)
+        closer = size < off[left]
+        off[left[closer]] = size[closer]
+        out[0][left[closer]], out[1][left[closer]] = cell[closer], weights[closer]
+        open_ = size > CLOSE * CLOSE * ((around[:, 1] - around[:, 0]) ** 2).sum(axis=1)
+        flat = (weights[:, :, None] * around[:, : weights.shape[1]]).sum(axis=1)
+        left, near = left[open_], cell[open_].astype(np.int32)
+        cell, weights = locate((flat + away)[open_], near)
+    return out
+
+
+def _bend(
+    points: NDArray[Any], cells: NDArray[np.int64], shape: NDArray[np.int64],
+    curved: tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.bool_]], least: float,
+) -> None:
+    """Put new nodes (k,) onto the curved surface, old ones where cells are worse than they were."""
+    node, places, new = curved
+    points[node[new]] = places[new].astype(points.dtype)
+    worse = np.isin(node, cells[jacobian_bounds(points[cells], shape).scaled < least])
+    points[node[worse]] = places[worse].astype(points.dtype)
+
+
+def _unfold(
+    points: NDArray[Any], cells: NDArray[np.int64], shape: NDArray[np.int64]
+) -> int:
+    """Straighten edges of cells that are folded, half first, then all; how many are straight."""
+    pairs, corners = _pairs(shape), shape.shape[1]
+    straight: set[int] = set()
+    for share in (0.5, 0.5, 0.0, 0.0):
+        folded = cells[~jacobian_bounds(points[cells], shape).valid]
+        if not len(folded):
+            break
+        node, first = np.unique(folded[:, corners:], return_index=True)
+        ends = folded[:, pairs].reshape(-1, 2)[first]
+        middle = 0.5 * (points[ends[:, 0]] + points[ends[:, 1]].astype(np.float64))
+        if share == 0.0:
+            straight |= set(node[(points[node] != middle).any(axis=1)].tolist())
+        points[node] = middle + share * (points[node] - middle)
+    return len(straight)
 
 
 def _with_middles(

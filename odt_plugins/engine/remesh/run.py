@@ -417,7 +417,7 @@ def _once(
     onto = mesh.smooth if share > 0.0 else None
     left = envelope
     if share > 0.0:
-        far = furthest(mesh, resized, envelope)
+        far = furthest(mesh, resized, envelope - mesh.sag)
         left = envelope - max(far[0], far[1]) - mesh.sag
         if not left > 0.0:
             return resized, [f"the resized surface is {max(far):.3g} from the input's, beyond the "
