@@ -25,7 +25,7 @@ from odt_plugins.mesh.facets import row_keys
 from odt_plugins.mesh.plane import PlaneFrame
 from odt_plugins.mesh.simplex import SimplexMesh, Smooth, diagonal, freeze
 from odt_plugins.mesh.surface import surface_edges
-from odt_plugins.onto import LARGEST
+from odt_plugins.onto import LARGEST, came_or_moved
 from odt_plugins.options import Options
 from odt_plugins.promise.locked_facets import locked_facets
 
@@ -44,6 +44,9 @@ ROUNDS = 30
 
 CLOSE = 1e-7
 """Distance along a facet, in its lengths, within which a place is under the curved one."""
+
+ASTRAY = 100.0
+"""Square of a distance, in that of the nearest place found, beyond which none is looked for."""
 
 
 class Bent(NamedTuple):
@@ -167,9 +170,7 @@ def _put(bent: Bent, before: FloatArray, outcome: Outcome) -> FloatArray:
     """Points (n, d), those of the surface on the curved one where they moved or came."""
     facets, lines = _surface(outcome, bent.angle, surface=bent.surface)
     points, used = outcome.points.copy(), np.unique(facets if facets.size else lines)
-    origin = np.arange(len(points)) if outcome.origin is None else outcome.origin
-    came = (origin < 0) | (points != before[origin]).any(axis=1)
-    used = used[came[used]]
+    used = used[came_or_moved(before, outcome)[used]]
     reach = np.full(len(used), ON_LINE * diagonal(bent.points))
     points[used] = _over(bent, points[used], reach)
     return points
@@ -227,6 +228,7 @@ def _on_facets(bent: Bent, x: FloatArray) -> FloatArray:
             :, None] * normal
         better = far < off[left]
         out[left[better]], off[left[better]] = found[better], far[better]
-        open_ = (along * along).sum(axis=1) > CLOSE * CLOSE * np.sqrt(size)
+        open_ = ((along * along).sum(axis=1) > CLOSE * CLOSE * np.sqrt(size)) & (
+            far <= ASTRAY * off[left])
         left, under = left[open_], (under + along)[open_]
     return out

@@ -61,9 +61,7 @@ def near_geometry(work: Prepared, options: Options) -> tuple[Prepared, Options]:
     sag = geometry.sag()
 
     def put(outcome: Outcome) -> FloatArray:
-        points = outcome.points.copy()
-        origin = np.arange(len(points)) if outcome.origin is None else outcome.origin
-        moved = (origin < 0) | (points != work.mesh.points[origin]).any(axis=1)
+        points, moved = outcome.points.copy(), came_or_moved(work.mesh.points, outcome)
         new = in_space(work, outcome, moved, onto=True)
         points[moved] = new if work.frame is None else work.frame.to_plane(new)
         return points
@@ -72,6 +70,16 @@ def near_geometry(work: Prepared, options: Options) -> tuple[Prepared, Options]:
     envelope = min(options.envelope + sag / diagonal(used), LARGEST)
     mesh = replace(work.mesh, smooth=Smooth(sag, put))
     return work._replace(mesh=mesh), replace(options, envelope=envelope)
+
+
+def came_or_moved(before: FloatArray, outcome: Outcome) -> BoolArray:
+    """Vertices (n,) that are not where one of a mesh was; vertices of no mesh may be among them."""
+    n = len(outcome.points)
+    origin = np.arange(n) if outcome.origin is None else outcome.origin
+    known = (origin >= 0) & (origin < len(before))
+    stays = np.zeros(n, dtype=np.bool_)
+    stays[known] = (outcome.points[known] == before[origin[known]]).all(axis=1)
+    return ~stays
 
 
 def in_space(

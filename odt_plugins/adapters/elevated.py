@@ -37,6 +37,9 @@ ROUNDS = 30
 CLOSE = 1e-9
 """Distance, in lengths of an edge, within which a place in a curved cell is the one looked for."""
 
+ASTRAY = 100.0
+"""Square of a distance, in that of the nearest place found, beyond which none is looked for."""
+
 
 def held(host: HostMesh) -> HostMesh:
     """The same mesh of higher order; where a node that stays is between corners, these stay too."""
@@ -190,7 +193,8 @@ def _in_curved(
         closer = size < off[left]
         off[left[closer]] = size[closer]
         out[0][left[closer]], out[1][left[closer]] = cell[closer], weights[closer]
-        open_ = size > CLOSE * CLOSE * ((around[:, 1] - around[:, 0]) ** 2).sum(axis=1)
+        edge = ((around[:, 1] - around[:, 0]) ** 2).sum(axis=1)
+        open_ = (size > CLOSE * CLOSE * edge) & (size <= ASTRAY * off[left])
         flat = (weights[:, :, None] * around[:, : weights.shape[1]]).sum(axis=1)
         left, near = left[open_], cell[open_].astype(np.int32)
         cell, weights = locate((flat + away)[open_], near)

@@ -23,6 +23,7 @@ from odt_plugins.engine.remesh.distance import CUT, beyond, furthest
 from odt_plugins.engine.remesh.finish import MORE, Resized, Room, finished, sums
 from odt_plugins.engine.remesh.lay_out import lay_out
 from odt_plugins.engine.remesh.notes import told_of_edges
+from odt_plugins.engine.remesh.onto import on_smooth
 from odt_plugins.engine.remesh.sizes import (
     Sizes,
     expected_cells,
@@ -432,11 +433,9 @@ def _once(
         done, told = finished(mesh, given, inner, leaving, room)
     else:
         done, told = finished(mesh, given, inner, as_it_is, lambda _: 0.0)
+    off: tuple[str, ...] = ()
     if onto is not None and told:
-        outcome = done.outcome
-        outcome = replace(outcome, points=onto.put(outcome))
-        if not (signed_volumes(outcome.points, outcome.cells) > 0.0).all():
-            return outcome, ["cells would fold where vertices are put on the geometry"]
+        outcome, off = on_smooth(done.outcome, onto)
         times |= outcome.times
         log.counts |= outcome.counts
         inner = replace(inner, boundary="fixed", progress=part(report, 0.8, 1.0))
@@ -457,7 +456,7 @@ def _once(
         broken, slid = beyond(mesh, outcome, envelope)
         outcome = replace(outcome, slid=slid)
     notes = told_of_edges(outcome, given.lengths.mean() / LONGER, done.multiple)
-    return replace(outcome, notes=notes), broken
+    return replace(outcome, notes=notes + off), broken
 
 
 def _resized(
