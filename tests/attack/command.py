@@ -19,8 +19,8 @@ from attack.worker import FAILED, OK, REFUSED, Worker
 from odt_plugins.cli.terminal import progress_bar
 from odt_plugins.processes import handling
 
-SHARES = {"meshes": 0.3, "metrics": 0.1, "sizes": 0.1, "files": 0.2, "signals": 0.1, "disks": 0.1,
-          "cores": 0.1}
+SHARES = {"meshes": 0.25, "metrics": 0.1, "sizes": 0.1, "bent": 0.05, "files": 0.2, "signals": 0.1,
+          "disks": 0.1, "cores": 0.1}
 """Modules of this folder with a function ``attack(rng, folder)`` and its time limit ``SECONDS``,
 and the part of the time that each gets."""
 
@@ -42,9 +42,9 @@ def main(
 ) -> None:
     """Attack the package with random cases and count what becomes of them.
 
-    Random meshes over all options, in metrics and given other sizes, damaged files, signals at
-    random moments, full disks, other kinds of processors. Prints what fails, with its seed, and a
-    table at the end, also after Ctrl-C. Exit code 1 when anything failed.
+    Random meshes over all options, in metrics, given other sizes and curved, damaged files, signals
+    at random moments, full disks, other kinds of processors. Prints what fails, with its seed, and
+    a table at the end, also after Ctrl-C. Exit code 1 when anything failed.
     """
     kinds = kinds or tuple(SHARES)
     replay = seed is not None and minutes is None and cases is None
