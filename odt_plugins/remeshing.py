@@ -60,7 +60,7 @@ def remesh(
                               coarse everywhere; with a `metric`, of the lengths that it gives,
                               which are what is wanted where nothing else is said
     cells, vertices : int     instead, how many there are to be, as near as possible, where sizes
-                              are in proportion as they are
+                              are in proportion as they are; vertices are corners of cells
     growth : float            largest ratio of the sizes at the ends of an edge as long as the
                               smaller one; what grows faster is made smaller. 1.3 unless given, 3
                               with a `metric`, of lengths in any direction

@@ -76,6 +76,12 @@ def test_meshio_has_a_node_on_every_edge_and_fields_of_second_order_are_exact(sc
     assert same.any()
 
 
+def test_as_many_corners_come_as_vertices_are_asked_for():
+    x, nodes, *_ = solid(3)
+    out = remesh(meshio.Mesh(x, [("tetra10", nodes)]), vertices=200, free=("periodic",))
+    assert len(np.unique(out.cells[0].data[:, :4])) == pytest.approx(200, rel=0.05)
+
+
 @pytest.mark.parametrize("n", [2, 3])
 def test_no_edge_of_the_input_need_be_left(n):
     x, nodes = quadratic(*box(3, n))

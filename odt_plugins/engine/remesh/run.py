@@ -155,8 +155,8 @@ so often, and to so many times the cells that are expected at first; the nearest
 
 
 def _count(outcome: Outcome, wish: Wish) -> int:
-    """Number of cells or vertices, whichever is asked for."""
-    return len(outcome.points if wish.cells is None else outcome.cells)
+    """Number of cells or of their vertices, whichever is asked for."""
+    return len(np.unique(outcome.cells) if wish.cells is None else outcome.cells)
 
 
 def _off(outcome: Outcome, wish: Wish, goal: int) -> float:
