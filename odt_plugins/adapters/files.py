@@ -57,6 +57,9 @@ CUT = (r"\bends?\b|declares|announces|incomplete|to its end|\d+ bytes|lines for|
        r"truncated|HDF error")
 """What the reason has in it where a file is not whole."""
 
+CELLS = r"(?:line|triangle|quad|tetra|pyramid|wedge|hexahedron)\d+"
+"""What types of cells of higher order are called."""
+
 SAID = (
     (r"(?:could not convert string(?: to float:)?|invalid literal for int\(\) with base \d+:)"
      r" (?:np\.bytes_\()?b?(['\"])(.*?)\1.*", r"it has \2 in place of a number"),
@@ -324,9 +327,12 @@ def _read_as(path: Path, formats: list[str]) -> tuple[Any, list[str], str]:
         if isinstance(cause, MemoryError):
             reason = "it needs more memory than there is"
     elif isinstance(cause, KeyError):
-        reason = f"it refers to {cause.args[0]}, which is not there"
+        key = cause.args[0]
+        reason = (f"it has cells of type {key}, which meshio does not know"
+                  if re.fullmatch(CELLS, str(key)) else f"it refers to {key}, which is not there")
     cut = isinstance(cause, EOFError) or re.search(CUT, reason) or not READERS.keys() & set(formats)
     hope = "expected a complete file" if cut else f"expected a file that is one of {kinds}"
+    hope = "try a file without these cells" if "cells of type" in reason else hope
     msg = f"cannot read {path} as {kinds}: {reason}; {hope}"
     raise MeshFileError(msg) from cause
 

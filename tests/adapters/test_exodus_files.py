@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import warnings
+
 import contract
 import meshio
 import netCDF4
 import numpy as np
 import pytest
 from format_table import mesh_of_everything
-from made_files import SIDES, box, exodus, put
+from made_files import SIDES, box, exodus, letters, put
 
 from odt_plugins import remesh
 from odt_plugins.adapters.files import read_file, write_file
 from odt_plugins.api import optimize_file
-from odt_plugins.errors import DataNotKeptWarning
+from odt_plugins.errors import DataNotKeptWarning, MeshFileError
 
 
 def side_places(path):
@@ -279,3 +281,57 @@ def test_files_of_meshio_are_read_as_before(tmp_path):
     optimize_file(tmp_path / "a.e", tmp_path / "b.e")
     back = meshio.read(tmp_path / "b.e")
     assert np.allclose(back.point_data["u"], back.points[:, 0], atol=1e-12)
+
+
+@pytest.mark.parametrize("size", [None, 0.2])
+def test_coordinates_of_32_bits_are_those_that_are_judged(size, tmp_path):
+    points, cells, labels, plane = box(5)
+    blocks = [cells[labels == label] for label in np.unique(labels)[:2]]
+    exodus(tmp_path / "a.e", "NETCDF4", points, blocks, plane)
+    with netCDF4.Dataset(tmp_path / "a.e") as a, netCDF4.Dataset(tmp_path / "b.e", "w") as b:
+        a.set_auto_mask(False)
+        a.set_auto_chartostring(False)
+        for name, dim in a.dimensions.items():
+            b.createDimension(name, None if dim.isunlimited() else len(dim))
+        for name, variable in a.variables.items():
+            kind = "f4" if name.startswith("coord") else variable.dtype
+            put(b, name, kind, variable.dimensions, variable[:], **variable.__dict__)
+    assert read_file(tmp_path / "b.e").points.dtype == np.float32
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", DataNotKeptWarning)
+        optimize_file(tmp_path / "b.e", tmp_path / "c.e") if size is None else write_file(
+            tmp_path / "c.e", remesh(read_file(tmp_path / "b.e"), size))
+    with netCDF4.Dataset(tmp_path / "c.e") as f:
+        assert f["coordx"].dtype == np.float32
+
+
+def test_what_only_a_copy_keeps_is_named_where_another_format_is_written(tmp_path):
+    points, cells, labels, plane = box(3)
+    blocks = [cells[labels == label] for label in np.unique(labels)[:2]]
+    exodus(tmp_path / "a.e", "NETCDF4", points, blocks, plane)
+    with netCDF4.Dataset(tmp_path / "a.e", "a") as f:
+        f.createDimension("num_glo_var", 1)
+        put(f, "name_glo_var", "S1", ("num_glo_var", "len_string"), letters(["energy"]))
+        put(f, "vals_glo_var", "f8", ("time_step", "num_glo_var"), [[1.0], [2.0], [3.0]])
+    mesh = read_file(tmp_path / "a.e")
+    with pytest.warns(DataNotKeptWarning, match="the times of its steps, variables of the whole "
+                      "mesh 'energy', factors of side sets, attributes of elements"):
+        write_file(tmp_path / "b.vtu", mesh)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", DataNotKeptWarning)
+        write_file(tmp_path / "b.e", mesh)
+
+
+@pytest.mark.parametrize(("word", "said"), [("TETRA14", "tetra14"), ("NFACED", "'NFACED'")])
+def test_cells_that_nothing_holds_are_named(word, said, tmp_path):
+    with netCDF4.Dataset(tmp_path / "a.e", "w") as f:
+        for name, size in {"num_dim": 3, "num_nodes": 14, "num_elem": 1, "num_el_blk": 1,
+                           "num_el_in_blk1": 1, "num_nod_per_el1": 14}.items():
+            f.createDimension(name, size)
+        for axis in "xyz":
+            put(f, f"coord{axis}", "f8", ("num_nodes",), np.arange(14.0))
+        put(f, "connect1", "i4", ("num_el_in_blk1", "num_nod_per_el1"),
+            np.arange(1, 15)[None], elem_type=word)
+    with pytest.raises(MeshFileError, match=f"it has cells of type {said}.*; try a file without "
+                       "these cells"):
+        read_file(tmp_path / "a.e")

@@ -6,12 +6,14 @@ the file tells of which nodes they are.
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from odt_plugins.adapters.formats.decks import UNREAD
 from odt_plugins.adapters.formats.exodus_tables import (
     ORDER,
     components,
@@ -94,8 +96,29 @@ def read(path: Path) -> Any:
                     sets.setdefault(names[number], empty)[i] = np.arange(len(cells[i][1]))
         _element_sets(file, blocks, sets, len(cells))
         mesh = Mesh(points, cells, _node_arrays(file, len(points), steps), cell_data,
-                    cell_sets=sets, point_sets=node_sets_of(file, len(points)))
+                    cell_sets=sets, point_sets=node_sets_of(file, len(points)),
+                    info={UNREAD: _besides(file)})
     return mesh
+
+
+def _besides(file: Any) -> list[str]:
+    """Name what the file has that no mesh holds, so that only a copy of the file keeps it."""
+    times = np.asarray(file.variables["time_whole"][:] if "time_whole" in file.variables else [])
+    out = ["the times of its steps"] if times.any() else []
+    for what, home in (("glo", "the whole mesh"), ("nset", "node sets"), ("elset", "element sets")):
+        names = texts(file.variables.get(f"name_{what}_var"), size_of(file, f"num_{what}_var"))
+        if names:
+            out.append(f"variables of {home} {', '.join(map(repr, names))}")
+    factors = [name for name in file.variables if name.startswith("dist_fact_")
+               and (np.asarray(file.variables[name][:]) != 1).any()]
+    for ends, home in (("ss", "side sets"), ("ns", "node sets"), ("els", "element sets")):
+        if any(re.fullmatch(rf"dist_fact_{ends}\d+", name) for name in factors):
+            out.append(f"factors of {home}")
+    if any(re.fullmatch(r"attrib\d+", name) for name in file.variables):
+        out.append("attributes of elements")
+    if size_of(file, "num_info"):
+        out.append("information records")
+    return out
 
 
 def raw(file: Any) -> None:
@@ -116,16 +139,18 @@ def _ids(file: Any, name: str, dimension: str) -> NDArray[np.int64]:
     return np.arange(1, count + 1) if given is None else np.asarray(given[:]).astype(np.int64)
 
 
-def _coordinates(file: Any) -> NDArray[np.float64]:
-    """Places (n, dimension)."""
+def _coordinates(file: Any) -> NDArray[Any]:
+    """Places (n, dimension), of 32 bits where the file has such."""
     if "coord" in file.variables:
-        return np.asarray(file.variables["coord"][:]).T.astype(np.float64)
-    names = [f"coord{axis}" for axis in AXES.lower()[: size_of(file, "num_dim")]]
-    table = [np.asarray(file.variables[name][:]).astype(np.float64) for name in names]
+        table = [*np.asarray(file.variables["coord"][:])]
+    else:
+        names = [f"coord{axis}" for axis in AXES.lower()[: size_of(file, "num_dim")]]
+        table = [np.asarray(file.variables[name][:]) for name in names]
     if not table:
         msg = "it has no coordinates"
         raise MeshFileError(msg)
-    return np.stack(table, axis=1)
+    points = np.stack(table, axis=1)
+    return points.astype(points.dtype.newbyteorder("="))
 
 
 def blocks_of(file: Any) -> list[Block]:

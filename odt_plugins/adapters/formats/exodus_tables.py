@@ -73,7 +73,7 @@ def type_of(word: Any, nodes: int) -> str:
     family = re.sub(r"[\d\s\0]+", "", text).upper()
     kind = TYPES.get((FAMILIES.get(family, family), nodes))
     if kind is None:
-        msg = f"it has elements of type {text.strip()!r} with {nodes} nodes"
+        msg = f"it has cells of type {text.strip()!r} with {nodes} nodes"
         raise MeshFileError(msg)
     return kind
 
