@@ -29,6 +29,7 @@ class Form(NamedTuple):
     sets : bool            whether it holds sets
     text : bool            whether it is written as text or binary, as asked
     vertices : bool        whether it holds vertices as cells
+    lines : bool           whether it holds lines as cells
     """
 
     label: str | None = None
@@ -39,6 +40,7 @@ class Form(NamedTuple):
     sets: bool = False
     text: bool = False
     vertices: bool = True
+    lines: bool = True
 
 
 EVERYTHING = Form(sets=True, text=True)
@@ -49,7 +51,7 @@ FORMS = {
     "cgns": Form(points=False, cells=False, beside=False),
     "dolfin-xml": Form(points=False, beside=False),
     "exodus": Form("exodus:block", blocks=True, sets=True),
-    "flac3d": Form(points=False, cells=False, beside=False, text=True),
+    "flac3d": Form(points=False, cells=False, sets=True, text=True, vertices=False, lines=False),
     "gmsh": Form(blocks=True, sets=True, text=True),
     "gmsh22": Form(blocks=True, text=True),
     "h5m": Form(cells=False),
@@ -126,10 +128,11 @@ def fitted(mesh: Any, name: str) -> tuple[Any, list[str]]:
         lost = [f"{sum(len(b.data) for b in out.cells if b.type == kind)} cells of type {kind}"
                 for kind in sorted(kinds)]
         _choose(out, [i for i, b in enumerate(out.cells) if main in (None, b.type)])
-    count = sum(len(b.data) for b in out.cells if b.type == "vertex")
-    if count and not form.vertices:
-        lost.append(f"{count} cells of type vertex")
-        _choose(out, [i for i, b in enumerate(out.cells) if b.type != "vertex"])
+    for kind, held in (("vertex", form.vertices), ("line", form.lines)):
+        count = sum(len(b.data) for b in out.cells if b.type == kind)
+        if count and not held:
+            lost.append(f"{count} cells of type {kind}")
+            _choose(out, [i for i, b in enumerate(out.cells) if b.type != kind])
     _reorder(out, form)
     if name in ("gmsh", "gmsh22"):
         return _with_tags(out, name), lost

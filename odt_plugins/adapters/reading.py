@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from odt_plugins.adapters import apart, gmsh_files, netgen_files, vtk_files
-from odt_plugins.adapters.formats import READERS, vol
+from odt_plugins.adapters.formats import COMPLETED, READERS, vol
 from odt_plugins.adapters.formats.decks import REMARKS
 from odt_plugins.adapters.legacy import expect_whole
 from odt_plugins.adapters.stated import expect_counts
@@ -105,8 +105,8 @@ def read(path: Path, name: str) -> tuple[Any, list[str]]:
     except TimeoutError as exc:
         msg = f"it takes longer than {seconds:.3g} s, the limit for {size} bytes"
         raise TimeoutError(msg) from exc
-    if name == "netgen":
-        mesh = vol.completed(path, mesh)
+    if name in COMPLETED:
+        mesh = COMPLETED[name](path, mesh)
     return mesh, [*said, *getattr(mesh, REMARKS, ())]
 
 

@@ -8,6 +8,7 @@ Sources
 -------
 Abaqus: Analysis User's Guide, Input syntax rules, Dassault Systemes; G. Dhondt, CalculiX
 CrunchiX User's Manual.
+FLAC3D: Itasca, FLAC3D user's guide, grid files.
 Exodus: L. Schoof, V. Yarberry, EXODUS II: A Finite Element Data Model, SAND92-2137 (1994).
 Gmsh: https://gmsh.info/doc/texinfo/gmsh.html#MSH-file-format
 Kratos: https://kratosmultiphysics.github.io/Kratos, input data, .mdpa files.
@@ -34,6 +35,7 @@ from odt_plugins.adapters.formats import (
     exodus,
     exodus_copy,
     exodus_write,
+    flac3d,
     gmsh,
     gmsh_read,
     mdpa,
@@ -63,6 +65,11 @@ READERS: dict[str, Callable[[Path], Any]] = {
 }
 """Readers that take the place of meshio's, by the name of the format in meshio."""
 
+COMPLETED: dict[str, Callable[[Path, Any], Any]] = {
+    "flac3d": flac3d.completed, "netgen": vol.completed,
+}
+"""What is added to a mesh that meshio read: its path, the mesh, and the mesh that there is then."""
+
 REWRITERS: dict[str, Callable[[Path, Path, Change], list[str]]] = {
     "abaqus": abaqus_copy.rewrite, "exodus": exodus_copy.rewrite, "gmsh": gmsh.rewrite,
     "mdpa": mdpa.rewrite, "med": med_copy.rewrite, "medit": medit.rewrite,
@@ -73,8 +80,8 @@ REWRITERS: dict[str, Callable[[Path, Path, Change], list[str]]] = {
 """Rewriters by the name of the format in meshio: source, target and change, to what is lost."""
 
 WRITERS: dict[str, Callable[[Path, Any, bool | None], list[str]]] = {
-    "abaqus": abaqus_write.write, "exodus": exodus_write.write, "med": med.write,
-    "medit": medit.write, "nastran": nastran_write.write,
+    "abaqus": abaqus_write.write, "exodus": exodus_write.write, "flac3d": flac3d.write,
+    "med": med.write, "medit": medit.write, "nastran": nastran_write.write,
     "netgen": vol.write, "obj": obj.write, "off": off.write, "ply": ply.write,
     "stl": stl.write,
 }
