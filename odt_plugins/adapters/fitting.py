@@ -69,7 +69,7 @@ FORMS = {
     "su2": Form("su2:tag", points=False, cells=False, vertices=False),
     "tecplot": Form(beside=False),
     "tetgen": Form("tetgen:ref", points=False, cells=False, beside=False),
-    "ugrid": Form("ugrid:ref", points=False, cells=False),
+    "ugrid": Form("ugrid:ref", points=False, cells=False, vertices=False, lines=False),
     "vtk": EVERYTHING,
     "vtp": EVERYTHING,
     "vtu": EVERYTHING,
@@ -171,9 +171,9 @@ def fitted(mesh: Any, name: str) -> tuple[Any, list[str]]:
         out.field_data = {}
     if name == "hmf" and len(out.cells) > 1:
         out.cell_data = {}
-    if name in ("su2", "ugrid"):
-        _as_written(out, name)
-    if name in ("obj", "off") and out.points.shape[1] == 2:
+    if name == "su2":
+        _as_written(out)
+    if name in ("obj", "off", "ugrid") and out.points.shape[1] == 2:
         out.points = np.pad(out.points, ((0, 0), (0, 1)))
     return out, lost
 
@@ -272,22 +272,16 @@ class _Pair(tuple):  # type: ignore[type-arg]
         return len(self[1])
 
 
-def _as_written(mesh: Any, name: str) -> None:
-    """Give blocks and labels the form in which meshio's writers of .su2 and .ugrid use them."""
-    if name == "su2":
-        flat = mesh.points.shape[1] == 3 and not mesh.points[:, 2].any()
-        solid = any(block.dim == 3 for block in mesh.cells)
-        if mesh.points.shape[1] == 3 and not flat and not solid:
-            msg = "it holds no triangles in space, only those of the plane z = 0"
-            raise UnsupportedMeshError(msg)
-        if flat and not any(block.dim == 3 for block in mesh.cells):
-            mesh.points = mesh.points[:, :2]
-        mesh.cells = [_Pair((block.type, block.data)) for block in mesh.cells]
-        return
-    flat = [i for i, block in enumerate(mesh.cells) if block.type in ("triangle", "quad")]
-    labels = mesh.cell_data.pop("ugrid:ref", None)
-    if labels is not None and len(flat) == 1:
-        mesh.cell_data["ugrid:ref"] = labels[flat[0]]
+def _as_written(mesh: Any) -> None:
+    """Give points and blocks the form in which meshio's writer of .su2 files uses them."""
+    flat = mesh.points.shape[1] == 3 and not mesh.points[:, 2].any()
+    solid = any(block.dim == 3 for block in mesh.cells)
+    if mesh.points.shape[1] == 3 and not flat and not solid:
+        msg = "it holds no triangles in space, only those of the plane z = 0"
+        raise UnsupportedMeshError(msg)
+    if flat and not solid:
+        mesh.points = mesh.points[:, :2]
+    mesh.cells = [_Pair((block.type, block.data)) for block in mesh.cells]
 
 
 def group_names(mesh: Any) -> set[str]:

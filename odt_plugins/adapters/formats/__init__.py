@@ -19,6 +19,7 @@ OBJ: Wavefront, Appendix B1, Object Files (1995). OFF: Geomview manual, chapter 
 PLY: G. Turk, The PLY Polygon File Format (1994). STL: 3D Systems, StereoLithography Interface
 Specification (1989). SU2: documentation of SU2 7, mesh files. TetGen: H. Si, TetGen user's manual,
 chapter on file formats.
+UGRID: D. Marcum, 3D Input/Output Grids, AFLR, Mississippi State University.
 XDMF: XDMF model and format, version 3, xdmf.org.
 """
 
@@ -51,6 +52,7 @@ from odt_plugins.adapters.formats import (
     stl,
     su2,
     tetgen,
+    ugrid,
     vol,
     xdmf,
     xdmf_copy,
@@ -61,7 +63,7 @@ READERS: dict[str, Callable[[Path], Any]] = {
     "abaqus": abaqus.read, "exodus": exodus.read, "gmsh": gmsh_read.read, "mdpa": mdpa.read,
     "med": med.read, "medit": medit.read, "nastran": nastran.read, "obj": obj.read,
     "off": off.read, "ply": ply.read, "stl": stl.read, "su2": su2.read, "tetgen": tetgen.read,
-    "xdmf": xdmf.read,
+    "ugrid": ugrid.read, "xdmf": xdmf.read,
 }
 """Readers that take the place of meshio's, by the name of the format in meshio."""
 
@@ -83,6 +85,6 @@ WRITERS: dict[str, Callable[[Path, Any, bool | None], list[str]]] = {
     "abaqus": abaqus_write.write, "exodus": exodus_write.write, "flac3d": flac3d.write,
     "med": med.write, "medit": medit.write, "nastran": nastran_write.write,
     "netgen": vol.write, "obj": obj.write, "off": off.write, "ply": ply.write,
-    "stl": stl.write,
+    "stl": stl.write, "ugrid": ugrid.write,
 }
 """Writers that take the place of meshio's: path, mesh and whether binary, to what is lost."""
