@@ -8,6 +8,8 @@ Sources
 -------
 Abaqus: Analysis User's Guide, Input syntax rules, Dassault Systemes; G. Dhondt, CalculiX
 CrunchiX User's Manual.
+DOLFIN: A. Logg, K.-A. Mardal, G. Wells, Automated Solution of Differential Equations by the Finite
+Element Method (2012), chapter on DOLFIN.
 FLAC3D: Itasca, FLAC3D user's guide, grid files.
 Exodus: L. Schoof, V. Yarberry, EXODUS II: A Finite Element Data Model, SAND92-2137 (1994).
 Gmsh: https://gmsh.info/doc/texinfo/gmsh.html#MSH-file-format
@@ -33,6 +35,7 @@ from odt_plugins.adapters.formats import (
     abaqus,
     abaqus_copy,
     abaqus_write,
+    dolfin,
     exodus,
     exodus_copy,
     exodus_write,
@@ -60,10 +63,10 @@ from odt_plugins.adapters.formats import (
 from odt_plugins.adapters.formats.change import Change
 
 READERS: dict[str, Callable[[Path], Any]] = {
-    "abaqus": abaqus.read, "exodus": exodus.read, "gmsh": gmsh_read.read, "mdpa": mdpa.read,
-    "med": med.read, "medit": medit.read, "nastran": nastran.read, "obj": obj.read,
-    "off": off.read, "ply": ply.read, "stl": stl.read, "su2": su2.read, "tetgen": tetgen.read,
-    "ugrid": ugrid.read, "xdmf": xdmf.read,
+    "abaqus": abaqus.read, "dolfin-xml": dolfin.read, "exodus": exodus.read,
+    "gmsh": gmsh_read.read, "mdpa": mdpa.read, "med": med.read, "medit": medit.read,
+    "nastran": nastran.read, "obj": obj.read, "off": off.read, "ply": ply.read, "stl": stl.read,
+    "su2": su2.read, "tetgen": tetgen.read, "ugrid": ugrid.read, "xdmf": xdmf.read,
 }
 """Readers that take the place of meshio's, by the name of the format in meshio."""
 
