@@ -29,13 +29,13 @@ RATE = 50_000
 """Bytes for which it may take a second more. The slowest reader of meshio, that of PERMAS files,
 takes 2.7 MB in a second, and 1.4 MB of a packed Netgen file."""
 
-READ_ON = {"ansys": "rb", "tecplot": "r"}
-"""Formats whose readers go on at the end of the file, and the mode in which they open it."""
+READ_ON = ("ansys",)
+"""Formats whose readers go on at the end of the file."""
 
 PATIENCE = 1000
 """How often a reader may come to the end of a file."""
 
-TEXT = ("avsucd", "flac3d", "netgen", "permas", "tecplot")
+TEXT = ("avsucd", "flac3d", "netgen", "permas")
 """Formats of text that meshio reads."""
 
 FORTRAN = rb"(?<![\w.])([+-]?(?:\d+\.\d*|\.\d+))[dD]([+-]?\d+)(?!\w)"
@@ -196,7 +196,7 @@ def _opened(path: Path, name: str) -> Iterator[Any]:
                 yield source
     elif name in READ_ON:
         with io.BufferedReader(Ending(path)) as file:
-            yield file if READ_ON[name] == "rb" else io.TextIOWrapper(file)
+            yield file
     else:
         yield str(path)
 

@@ -28,8 +28,7 @@ COUNTS = {
     "vtk": rb"\n(?:POINTS|CELLS|CELL_TYPES|POINT_DATA|CELL_DATA)\s+(\d+)",
     "vtu": VTK_XML,
 }
-"""Where a format states how many items follow, or the last index. Tecplot files state it too, but
-their reader goes line by line and allocates nothing beforehand."""
+"""Where a format states how many items follow, or the last index."""
 
 REFERENCES = {"abaqus": rb"(?i)\*INCLUDE[^\n=]*=\s*([^\s,]+)", "xdmf": rb">\s*([^<>:\s]+):/"}
 """Where a format names another file that belongs to it."""

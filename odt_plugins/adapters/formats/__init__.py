@@ -19,8 +19,8 @@ MEDIT: P. Frey, Medit, an interactive mesh visualization software, INRIA RT-0253
 Nastran: MSC Nastran Quick Reference Guide, chapter on bulk data.
 OBJ: Wavefront, Appendix B1, Object Files (1995). OFF: Geomview manual, chapter on its formats.
 PLY: G. Turk, The PLY Polygon File Format (1994). STL: 3D Systems, StereoLithography Interface
-Specification (1989). SU2: documentation of SU2 7, mesh files. TetGen: H. Si, TetGen user's manual,
-chapter on file formats.
+Specification (1989). SU2: documentation of SU2 7, mesh files. Tecplot 360: Data Format Guide, chapter on ASCII data.
+TetGen: H. Si, TetGen user's manual, chapter on file formats.
 UGRID: D. Marcum, 3D Input/Output Grids, AFLR, Mississippi State University.
 XDMF: XDMF model and format, version 3, xdmf.org.
 """
@@ -54,6 +54,7 @@ from odt_plugins.adapters.formats import (
     ply,
     stl,
     su2,
+    tecplot,
     tetgen,
     ugrid,
     vol,
@@ -66,7 +67,8 @@ READERS: dict[str, Callable[[Path], Any]] = {
     "abaqus": abaqus.read, "dolfin-xml": dolfin.read, "exodus": exodus.read,
     "gmsh": gmsh_read.read, "mdpa": mdpa.read, "med": med.read, "medit": medit.read,
     "nastran": nastran.read, "obj": obj.read, "off": off.read, "ply": ply.read, "stl": stl.read,
-    "su2": su2.read, "tetgen": tetgen.read, "ugrid": ugrid.read, "xdmf": xdmf.read,
+    "su2": su2.read, "tecplot": tecplot.read, "tetgen": tetgen.read, "ugrid": ugrid.read,
+    "xdmf": xdmf.read,
 }
 """Readers that take the place of meshio's, by the name of the format in meshio."""
 
@@ -79,8 +81,8 @@ REWRITERS: dict[str, Callable[[Path, Path, Change], list[str]]] = {
     "abaqus": abaqus_copy.rewrite, "exodus": exodus_copy.rewrite, "gmsh": gmsh.rewrite,
     "mdpa": mdpa.rewrite, "med": med_copy.rewrite, "medit": medit.rewrite,
     "nastran": nastran_copy.rewrite, "netgen": vol.rewrite, "obj": obj.rewrite, "off": off.rewrite,
-    "ply": ply.rewrite, "stl": stl.rewrite, "su2": su2.rewrite, "tetgen": tetgen.rewrite,
-    "xdmf": xdmf_copy.rewrite,
+    "ply": ply.rewrite, "stl": stl.rewrite, "su2": su2.rewrite, "tecplot": tecplot.rewrite,
+    "tetgen": tetgen.rewrite, "xdmf": xdmf_copy.rewrite,
 }
 """Rewriters by the name of the format in meshio: source, target and change, to what is lost."""
 
