@@ -19,8 +19,9 @@ MEDIT: P. Frey, Medit, an interactive mesh visualization software, INRIA RT-0253
 Nastran: MSC Nastran Quick Reference Guide, chapter on bulk data.
 OBJ: Wavefront, Appendix B1, Object Files (1995). OFF: Geomview manual, chapter on its formats.
 PLY: G. Turk, The PLY Polygon File Format (1994). STL: 3D Systems, StereoLithography Interface
-Specification (1989). SU2: documentation of SU2 7, mesh files. Tecplot 360: Data Format Guide, chapter on ASCII data.
-TetGen: H. Si, TetGen user's manual, chapter on file formats.
+Specification (1989). SU2: documentation of SU2 7, mesh files. Tecplot: Tecplot 360
+Data Format Guide, chapter on ASCII data. TetGen: H. Si, TetGen user's
+manual, chapter on file formats.
 UGRID: D. Marcum, 3D Input/Output Grids, AFLR, Mississippi State University.
 XDMF: XDMF model and format, version 3, xdmf.org.
 """
@@ -42,6 +43,7 @@ from odt_plugins.adapters.formats import (
     flac3d,
     gmsh,
     gmsh_read,
+    hdf,
     mdpa,
     med,
     med_copy,
@@ -51,6 +53,7 @@ from odt_plugins.adapters.formats import (
     nastran_write,
     obj,
     off,
+    permas,
     ply,
     stl,
     su2,
@@ -64,8 +67,9 @@ from odt_plugins.adapters.formats import (
 from odt_plugins.adapters.formats.change import Change
 
 READERS: dict[str, Callable[[Path], Any]] = {
-    "abaqus": abaqus.read, "dolfin-xml": dolfin.read, "exodus": exodus.read,
-    "gmsh": gmsh_read.read, "mdpa": mdpa.read, "med": med.read, "medit": medit.read,
+    "abaqus": abaqus.read, "cgns": hdf.cgns, "dolfin-xml": dolfin.read, "exodus": exodus.read,
+    "gmsh": gmsh_read.read, "h5m": hdf.h5m, "mdpa": mdpa.read, "med": med.read,
+    "medit": medit.read,
     "nastran": nastran.read, "obj": obj.read, "off": off.read, "ply": ply.read, "stl": stl.read,
     "su2": su2.read, "tecplot": tecplot.read, "tetgen": tetgen.read, "ugrid": ugrid.read,
     "xdmf": xdmf.read,
@@ -73,7 +77,7 @@ READERS: dict[str, Callable[[Path], Any]] = {
 """Readers that take the place of meshio's, by the name of the format in meshio."""
 
 COMPLETED: dict[str, Callable[[Path, Any], Any]] = {
-    "flac3d": flac3d.completed, "netgen": vol.completed,
+    "flac3d": flac3d.completed, "netgen": vol.completed, "permas": permas.completed,
 }
 """What is added to a mesh that meshio read: its path, the mesh, and the mesh that there is then."""
 
