@@ -304,6 +304,9 @@ def _read_as(path: Path, formats: list[str]) -> tuple[Any, list[str], str]:
     from meshio._helpers import reader_map
 
     cause: Exception | None = None
+    if "ansys" in formats:
+        with path.open("rb") as file:
+            formats = ["ansys"] if file.read(1) == b"(" else formats
     for name in formats:
         if name not in reader_map and name not in apart.VTK:
             continue

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from odt_plugins.adapters import apart, gmsh_files, netgen_files, vtk_files
-from odt_plugins.adapters.formats import COMPLETED, READERS, vol
+from odt_plugins.adapters.formats import COMPLETED, READERS, fluent, vol
 from odt_plugins.adapters.formats.decks import REMARKS
 from odt_plugins.adapters.legacy import expect_whole
 from odt_plugins.adapters.stated import expect_counts
@@ -177,6 +177,8 @@ def _read(path: Path, name: str) -> Any:
 
     if name in READERS:
         return READERS[name](path)
+    if name == "ansys" and fluent.has_faces(path):
+        return fluent.read(path)
     reader = reader_map[name]
     # A number that is none would become an index.
     with np.errstate(all="raise", under="ignore"), _opened(path, name) as source:

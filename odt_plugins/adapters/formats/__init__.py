@@ -8,6 +8,7 @@ Sources
 -------
 Abaqus: Analysis User's Guide, Input syntax rules, Dassault Systemes; G. Dhondt, CalculiX
 CrunchiX User's Manual.
+Fluent: ANSYS Fluent user's guide, appendix on mesh files.
 DOLFIN: A. Logg, K.-A. Mardal, G. Wells, Automated Solution of Differential Equations by the Finite
 Element Method (2012), chapter on DOLFIN.
 FLAC3D: Itasca, FLAC3D user's guide, grid files.
@@ -41,6 +42,7 @@ from odt_plugins.adapters.formats import (
     exodus_copy,
     exodus_write,
     flac3d,
+    fluent,
     gmsh,
     gmsh_read,
     hdf,
@@ -77,7 +79,8 @@ READERS: dict[str, Callable[[Path], Any]] = {
 """Readers that take the place of meshio's, by the name of the format in meshio."""
 
 COMPLETED: dict[str, Callable[[Path, Any], Any]] = {
-    "flac3d": flac3d.completed, "netgen": vol.completed, "permas": permas.completed,
+    "ansys": fluent.completed, "flac3d": flac3d.completed, "netgen": vol.completed,
+    "permas": permas.completed,
 }
 """What is added to a mesh that meshio read: its path, the mesh, and the mesh that there is then."""
 
