@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from odt_plugins.adapters import apart, gmsh_files, netgen_files, vtk_files
-from odt_plugins.adapters.formats import COMPLETED, READERS, fluent, vol
+from odt_plugins.adapters.formats import COMPLETED, READERS, flac3d, fluent, vol
 from odt_plugins.adapters.formats.decks import REMARKS
 from odt_plugins.adapters.legacy import expect_whole
 from odt_plugins.adapters.stated import expect_counts
@@ -96,6 +96,8 @@ def read(path: Path, name: str) -> tuple[Any, list[str]]:
         expect_whole(path)
     if name == "netgen":
         vol.expect_end(path)
+    if name == "flac3d":
+        flac3d.expect_whole(path)
     seconds = LEAST + size / RATE
     try:
         if name in apart.VTK and apart.vtk_installed():

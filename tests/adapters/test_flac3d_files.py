@@ -13,7 +13,7 @@ from format_table import mesh_of_everything
 from odt_plugins import remesh
 from odt_plugins.adapters.files import read_file, write_file
 from odt_plugins.api import optimize_file
-from odt_plugins.errors import DataNotKeptWarning
+from odt_plugins.errors import DataNotKeptWarning, MeshFileError
 
 
 def grid(path):
@@ -100,3 +100,17 @@ def test_groups_of_other_formats_are_groups(binary, tmp_path):
     assert set(back.cell_sets) == {"steel", "rubber", "inside", "outside"}
     assert sum(map(len, back.cell_sets["steel"])) == sum(map(len, mesh.cell_sets["steel"]))
     assert np.array_equal(back.points, mesh.points)
+
+
+@pytest.mark.parametrize(("at", "said"), [(8, "it ends too early"),
+                                          (None, "it has a cell of 4294967295 nodes")])
+def test_binary_files_that_state_more_than_they_hold_are_refused(at, said, tmp_path):
+    path = tmp_path / "a.f3grid"
+    with pytest.warns(DataNotKeptWarning):
+        write_file(path, mesh_of_everything(), binary=True)
+    data = bytearray(path.read_bytes())
+    at = at or 12 + 28 * len(mesh_of_everything().points) + 8
+    data[at: at + 4] = b"\xff" * 4
+    path.write_bytes(data)
+    with pytest.raises(MeshFileError, match=said):
+        read_file(path)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.adapters.formats.decks import indices
+from odt_plugins.errors import MeshFileError
 
 ORDER = {"triangle": [0, 1, 2], "quad": [0, 1, 2, 3], "tetra": [0, 1, 2, 3],
          "pyramid": [0, 1, 3, 4, 2], "wedge": [0, 1, 3, 2, 4, 5],
@@ -30,6 +31,9 @@ SLOT = "Default"
 HEAD = (1375135718, 3)
 """Numbers at the start of binary files."""
 
+MOST = 8
+"""Most nodes of a cell."""
+
 ROW = 20
 """Numbers of cells in a line."""
 
@@ -47,6 +51,47 @@ class Part(NamedTuple):
     word: str
     cells: list[tuple[str, NDArray[np.int64]]]
     groups: dict[tuple[str, str], NDArray[np.int64]]
+
+
+def expect_whole(path: Path) -> None:
+    """See whether a binary file holds what it states, before memory is taken for that.
+
+    Raises
+    ------
+    MeshFileError    it ends too early, or has cells of more nodes than there are types for
+    """
+    data = path.read_bytes()
+    if b"\0" not in data[:8]:
+        return
+    at = 8
+
+    def word(size: int = 4) -> int:
+        nonlocal at
+        at += size
+        if at > len(data):
+            msg = "it ends too early"
+            raise MeshFileError(msg)
+        return int.from_bytes(data[at - size: at], "little")
+
+    count = word()
+    at += 28 * count
+    for _ in range(2):
+        for _ in range(word()):
+            word()
+            nodes = word()
+            if nodes > MOST:
+                msg = f"it has a cell of {nodes} nodes, expected {MOST} at most"
+                raise MeshFileError(msg)
+            at += 4 * nodes
+        for _ in range(word()):
+            for _ in range(2):
+                count = word(2)
+                at += count
+            count = word()
+            at += 4 * count
+    if at > len(data):
+        msg = "it ends too early"
+        raise MeshFileError(msg)
 
 
 def completed(path: Path, mesh: Any) -> Any:
