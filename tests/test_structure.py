@@ -89,7 +89,8 @@ TOOLKITS = {
                "adapters/formats/gmsh_groups.py", "adapters/formats/gmsh_read.py",
                "adapters/formats/med.py", "adapters/formats/medit.py",
                "adapters/formats/nastran.py", "adapters/formats/obj.py", "adapters/formats/ply.py",
-               "adapters/formats/polygons.py", "adapters/formats/stl.py",
+               "adapters/formats/polygons.py", "adapters/formats/readers.py",
+               "adapters/formats/stl.py",
                "adapters/formats/su2.py", "adapters/formats/tetgen.py",
                "adapters/formats/dolfin.py", "adapters/formats/ugrid.py",
                "adapters/formats/tecplot.py", "adapters/formats/hdf.py",
@@ -190,6 +191,17 @@ def test_toolkits_are_imported_in_their_place_and_inside_functions(module):
                 where = f"{path.name}:{node.lineno} imports {name}"
                 assert path.relative_to(PACKAGE).as_posix() in TOOLKITS[toolkit], where
                 assert id(node) in inside, where
+
+
+def test_no_private_part_of_a_library_is_used(module):
+    for node in module[1]:
+        names = imports(node)
+        if isinstance(node, ast.ImportFrom):
+            names = [f"{node.module}.{name.name}" for name in node.names]
+        for name in names:
+            first, *rest = name.split(".")
+            assert first in ("odt_plugins", "__future__") or not [
+                part for part in rest if part.startswith("_")], name
 
 
 def test_the_tables_name_the_rooms_that_exist():

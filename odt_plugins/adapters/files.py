@@ -28,6 +28,7 @@ from odt_plugins.adapters.fitting import FORMS, fitted
 from odt_plugins.adapters.formats import READERS, REWRITERS, WRITERS, gmsh_groups, gmsh_tables
 from odt_plugins.adapters.formats.change import Change, NotRewritable, Origin, origin_of
 from odt_plugins.adapters.formats.decks import DECK, UNREAD
+from odt_plugins.adapters.formats.readers import readable
 from odt_plugins.adapters.host import HostMesh, Result
 from odt_plugins.adapters.recolouring import recoloured
 from odt_plugins.adapters.stated import declares_no_cells
@@ -301,14 +302,12 @@ def write_arrays(
 
 def _read_as(path: Path, formats: list[str]) -> tuple[Any, list[str], str]:
     """Read as the first of some formats that goes; also what meshio says, and the format."""
-    from meshio._helpers import reader_map
-
     cause: Exception | None = None
     if "ansys" in formats:
         with path.open("rb") as file:
             formats = ["ansys"] if file.read(1) == b"(" else formats
     for name in formats:
-        if name not in reader_map and name not in apart.VTK:
+        if not readable(name) and name not in apart.VTK:
             continue
         try:
             return *reading.read(path, name), name

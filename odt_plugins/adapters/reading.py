@@ -18,6 +18,7 @@ import numpy as np
 from odt_plugins.adapters import apart, gmsh_files, netgen_files, vtk_files
 from odt_plugins.adapters.formats import COMPLETED, READERS, flac3d, fluent, vol
 from odt_plugins.adapters.formats.decks import REMARKS
+from odt_plugins.adapters.formats.readers import readable, reader_of
 from odt_plugins.adapters.legacy import expect_whole
 from odt_plugins.adapters.stated import expect_counts
 from odt_plugins.errors import InvalidMeshError, MeshFileError
@@ -121,7 +122,7 @@ def _read_vtk(path: Path, name: str, seconds: float) -> tuple[Any, list[str]]:
         raise
     # VTK refuses, or has crashed.
     except Exception as exc:
-        if name not in _readers():
+        if not readable(name):
             raise
         try:
             mesh, said = _read_meshio(path, name, seconds)
@@ -163,25 +164,17 @@ def _read_alone(path: Path, name: str, seconds: float) -> tuple[Any, list[str]]:
     return mesh, said
 
 
-def _readers() -> dict[str, Any]:
-    from meshio._helpers import reader_map
-
-    return dict(reader_map)
-
-
 def _read_heard(path: Path, name: str) -> tuple[Any, list[str]]:
     with remarks() as said:
         return _read(path, name), said
 
 
 def _read(path: Path, name: str) -> Any:
-    from meshio._helpers import reader_map
-
     if name in READERS:
         return READERS[name](path)
     if name == "ansys" and fluent.has_faces(path):
         return fluent.read(path)
-    reader = reader_map[name]
+    reader = reader_of(name)
     # A number that is none would become an index.
     with np.errstate(all="raise", under="ignore"), _opened(path, name) as source:
         return reader(source)

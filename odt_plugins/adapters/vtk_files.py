@@ -14,7 +14,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from odt_plugins.adapters import kinds as kinds_of
 from odt_plugins.adapters.apart import VTK
+from odt_plugins.adapters.formats.readers import reader_of
 from odt_plugins.adapters.legacy import write_exactly
 from odt_plugins.errors import InvalidMeshError, MeshFileError, UnsupportedMeshError
 
@@ -29,11 +31,14 @@ POLYDATA: tuple[tuple[str, dict[int, int], int], ...] = (
 """Parts of PolyData in the order of their cell data: cell types by number of nodes, and of
 other numbers."""
 
-SECOND_NAMES = {"char": "int8", "signed_char": "int8", "unsigned_char": "uint8", "short": "int16",
-                "unsigned_short": "uint16", "int": "int32", "unsigned_int": "uint32",
-                "long": "int64", "unsigned_long": "uint64"}
-"""Words of legacy files that meshio does not know, or takes for another type."""
+WORDS = {b"char": b"vtktypeint8", b"signed_char": b"vtktypeint8", b"unsigned_char": b"vtktypeuint8",
+         b"short": b"vtktypeint16", b"unsigned_short": b"vtktypeuint16", b"int": b"vtktypeint32",
+         b"unsigned_int": b"vtktypeuint32", b"long": b"vtktypeint64",
+         b"unsigned_long": b"vtktypeuint64"}
+"""Words of legacy files for which meshio knows others."""
 
+NUMBERS = re.compile(rb"^(\w[^\n\0]* )(" + b"|".join(WORDS) + rb")( \d+)?$", re.MULTILINE)
+"""Lines of legacy files that tell the type of the numbers that follow."""
 
 OLD = (b"1", b"2", b"3", b"4")
 """Versions before 5, which programs read that do not know later ones."""
@@ -310,9 +315,7 @@ def as_mesh(grid: Grid) -> tuple[Any, list[str]]:
     UnsupportedMeshError    it has cells that meshio has no name for
     """
     from meshio import Mesh
-    from meshio._common import num_nodes_per_cell
 
-    names = _names()
     types, offset, flat = grid.cells
     size = np.diff(offset)
     if len(types) != len(size) or (size < 0).any() or offset[0] != 0 or offset[-1] != len(flat):
@@ -337,13 +340,13 @@ def as_mesh(grid: Grid) -> tuple[Any, list[str]]:
             name, order = TURNED[kind]
             said.append(f"VTK's cells of type {kind} come as {name} cells")
             nodes = nodes[:, order]
-        elif kind in names.vtk_to_meshio_type and kind not in (0, 42):
-            name, order = names.vtk_to_meshio_type[kind], names.vtk_to_meshio_order(kind)
-            nodes = nodes if order is None else nodes[:, order]
+        elif kind in kinds_of.VTK and kind not in (0, 42):
+            name = kinds_of.VTK[kind]
+            nodes = nodes[:, kinds_of.WEDGE] if name == "wedge" else nodes
         else:
             msg = f"it has cells of VTK's type {kind} (first: cell {i})"
             raise UnsupportedMeshError(msg)
-        if nodes.shape[1] != num_nodes_per_cell.get(name, nodes.shape[1]):
+        if nodes.shape[1] != (kinds_of.nodes_of(name) or nodes.shape[1]):
             msg = f"its cell {i} is of type {name} and has {width} nodes"
             raise InvalidMeshError(msg)
         same = [j for j, (other, old) in enumerate(blocks)
@@ -358,13 +361,6 @@ def as_mesh(grid: Grid) -> tuple[Any, list[str]]:
     point_data: Any = grid.point_data
     mesh = Mesh(grid.points, blocks, point_data, cell_data, grid.field_data)
     return mesh, list(dict.fromkeys(said))
-
-
-def _names() -> Any:
-    """Tables of meshio: names and order of nodes of VTK's cell types."""
-    import meshio._vtk_common
-
-    return meshio._vtk_common
 
 
 def _cells(dataset: Any) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
@@ -407,10 +403,9 @@ def _polydata(mesh: Any) -> Any:
     from meshio import Mesh
     from vtkmodules.vtkCommonDataModel import vtkPolyData
 
-    kinds = _names().meshio_to_vtk_type
     part = {kind: i for i, (_, some, other) in enumerate(POLYDATA)
             for kind in (*some.values(), other)}
-    numbers = [part.get(kinds.get(block.type), -1) for block in mesh.cells]
+    numbers = [part.get(kinds_of.IN_VTK.get(block.type, -1), -1) for block in mesh.cells]
     if -1 in numbers:
         name = mesh.cells[numbers.index(-1)].type
         msg = f"PolyData holds no cells of type {name}"
@@ -434,16 +429,13 @@ def _grid(mesh: Any) -> Any:
     from vtkmodules.util.numpy_support import numpy_to_vtk
     from vtkmodules.vtkCommonDataModel import vtkUnstructuredGrid
 
-    names = _names()
-    kinds = names.meshio_to_vtk_type
-    unknown = [block.type for block in mesh.cells if block.type not in kinds]
+    unknown = [block.type for block in mesh.cells if block.type not in kinds_of.IN_VTK]
     if unknown:
         msg = f"VTK has no cells of type {unknown[0]}"
         raise UnsupportedMeshError(msg)
-    orders = [names.meshio_to_vtk_order(block.type) for block in mesh.cells]
-    nodes = [block.data if order is None else block.data[:, order]
-             for block, order in zip(mesh.cells, orders, strict=True)]
-    types = np.concatenate([np.full(len(block.data), kinds[block.type], np.uint8)
+    nodes = [block.data[:, kinds_of.WEDGE] if block.type == "wedge" else block.data
+             for block in mesh.cells]
+    types = np.concatenate([np.full(len(block.data), kinds_of.IN_VTK[block.type], np.uint8)
                             for block in mesh.cells])
     out = vtkUnstructuredGrid()
     out.SetCells(numpy_to_vtk(types, deep=True), _cell_array(nodes))
@@ -516,21 +508,25 @@ def _vtk(values: NDArray[Any]) -> Any:
 
 
 def _second_look(path: Path, name: str, mesh: Any) -> str:
-    """Read a file by meshio, and name what is other than VTK reads it."""
+    """Read a file by meshio, and name what is other than VTK reads it.
+
+    In legacy files of version 5 it knows other words for some types of numbers.
+    """
+    import tempfile
     from urllib.parse import unquote
 
-    from meshio._helpers import reader_map
-    from meshio.vtk import _vtk_42, _vtk_51
-
-    modules: Any = (_vtk_42, _vtk_51)
-    for module in modules:
-        module.vtk_to_numpy_dtype_name |= SECOND_NAMES
-    try:
-        other = reader_map[name](str(path))
-        cells, data = other.cells_dict, other.cell_data_dict
-    # It knows less than VTK, such as arrays of text.
-    except Exception:
-        return ""
+    with tempfile.TemporaryDirectory() as folder:
+        copy = path
+        if name == "vtk" and not path.read_bytes()[:40].split()[4].startswith(OLD):
+            copy = Path(folder) / path.name
+            copy.write_bytes(re.sub(NUMBERS, lambda found: b"%s%s%s" % (
+                found[1], WORDS[found[2]], found[3] or b""), path.read_bytes()))
+        try:
+            other = reader_of(name)(str(copy))
+            cells, data = other.cells_dict, other.cell_data_dict
+        # It knows less than VTK, such as arrays of text.
+        except Exception:
+            return ""
     pairs = [("the points", other.points, mesh.points)]
     pairs += [(f"cells of type {kind}", cells.get(kind), nodes)
               for kind, nodes in mesh.cells_dict.items()]

@@ -14,10 +14,10 @@ import meshio
 import numpy as np
 import pytest
 from attack import damage
-from meshio._helpers import reader_map
 from processes import wait_until
 
 from odt_plugins.adapters import apart, files, reading, stated
+from odt_plugins.adapters.formats.readers import MODULES, reader_of
 from odt_plugins.errors import DataNotKeptWarning, MeshFileError, ODTError
 
 NO_DATA = ("h5m", "su2", "ugrid", "ugrid text")
@@ -28,6 +28,11 @@ UNCOUNTED = ("ansys", "ansys text", "mdpa", "tetgen cells", "tetgen points")
 
 KIND = {"gmsh22": "gmsh", "vtk42": "vtk", "vtk51": "vtk"}
 """Names of readers that are not those of the writers."""
+
+
+def reads(monkeypatch, name, reader):
+    """Let a reader take the place of that of meshio."""
+    monkeypatch.setattr(getattr(meshio, MODULES.get(name, name)), "read", reader)
 
 
 def _mesh(name, size=2):
@@ -60,7 +65,7 @@ def test_whole_files_are_read_as_meshio_reads_them(name, tmp_path, capsys):
     path = _stored(name, tmp_path)
     kind = KIND.get(damage.FORMATS[name][1], damage.FORMATS[name][1])
     with np.errstate(all="ignore"):
-        plain = reader_map[kind](str(path))
+        plain = reader_of(kind)(str(path))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DataNotKeptWarning)
         mesh = files.read_file(path)
@@ -124,7 +129,7 @@ def test_counts_beyond_the_size_of_the_file_are_refused_before_it_is_read(
     path = _stored(name, tmp_path)
     kind = KIND.get(damage.FORMATS[name][1], damage.FORMATS[name][1])
     whole = path.read_bytes()
-    monkeypatch.setitem(reader_map, kind, lambda path: pytest.fail("it was read"))
+    reads(monkeypatch, kind, lambda path: pytest.fail("it was read"))
     found = next(stated.re.finditer(stated.COUNTS[kind], whole))
     for group in range(1, len(found.groups()) + 1):
         if found[group] is None:
@@ -156,7 +161,7 @@ def _endless(_path):
 @pytest.mark.parametrize("main", [True, False], ids=["main thread", "other thread"])
 def test_a_reader_that_does_not_end_is_broken_off(main, tmp_path, monkeypatch):
     monkeypatch.setattr(apart, "vtk_installed", lambda: False)
-    monkeypatch.setitem(reader_map, "vtu", _endless)
+    reads(monkeypatch, "vtu", _endless)
     monkeypatch.setattr(reading, "LEAST", 0.2)
     path = tmp_path / "mesh.vtu"
     path.write_bytes(b"x" * 5000)
@@ -266,7 +271,7 @@ def test_readings_in_threads_leave_the_streams_as_they_were(tmp_path, monkeypatc
     path = tmp_path / "mesh.vtu"
     contract.file_mesh(".vtu", 2).write(path)
     second_in, first_out = threading.Event(), threading.Event()
-    calls, reader = [], reader_map["vtu"]
+    calls, reader = [], reader_of("vtu")
 
     def slow(path):
         calls.append(path)
@@ -278,7 +283,7 @@ def test_readings_in_threads_leave_the_streams_as_they_were(tmp_path, monkeypatc
         return reader(path)
 
     monkeypatch.setattr(apart, "vtk_installed", lambda: False)
-    monkeypatch.setitem(reader_map, "vtu", slow)
+    reads(monkeypatch, "vtu", slow)
     streams, filters = (sys.stdout, sys.stderr), warnings.filters
 
     def first():
@@ -298,13 +303,13 @@ def test_readings_in_threads_leave_the_streams_as_they_were(tmp_path, monkeypatc
 
 
 def test_what_a_reader_warns_of_becomes_one_sentence(tmp_path, monkeypatch):
-    path, known = _stored("netgen", tmp_path), reader_map["netgen"]
+    path, known = _stored("netgen", tmp_path), reader_of("netgen")
 
     def reader(path):
         warnings.warn("Input line 1 contained no data", stacklevel=1)
         return known(path)
 
-    monkeypatch.setitem(reader_map, "netgen", reader)
+    reads(monkeypatch, "netgen", reader)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         mesh = files.read_file(path)
@@ -329,6 +334,6 @@ def test_data_that_end_before_their_count_are_refused(tmp_path, monkeypatch):
                       "will raise a ValueError in the future.", DeprecationWarning, stacklevel=1)
 
     monkeypatch.setattr(apart, "vtk_installed", lambda: False)
-    monkeypatch.setitem(reader_map, "vtu", reader)
+    reads(monkeypatch, "vtu", reader)
     (tmp_path / "mesh.vtu").write_text("")
     assert "could not be read to its end" in _refused(tmp_path / "mesh.vtu")

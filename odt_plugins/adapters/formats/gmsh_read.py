@@ -24,6 +24,7 @@ from odt_plugins.adapters.formats.gmsh_tables import (
     Section,
     Values,
 )
+from odt_plugins.adapters.kinds import from_gmsh, nodes_of
 from odt_plugins.errors import MeshFileError
 
 KNOWN = ("MeshFormat", "Comments", "PhysicalNames", "Entities", "PartitionedEntities", "Nodes",
@@ -171,24 +172,20 @@ def array_names(own: list[Values]) -> list[str]:
 
 def type_names() -> dict[int, str]:
     """Types of cells by their numbers."""
-    from meshio.gmsh.common import _gmsh_to_meshio_type
+    from meshio.gmsh import gmsh_to_meshio_type
 
-    return dict(_gmsh_to_meshio_type)
+    return dict(gmsh_to_meshio_type)
 
 
 def order_of(name: str, size: int) -> list[int]:
     """Places in a mesh of the nodes of an element of a file."""
-    from meshio.gmsh.common import _gmsh_to_meshio_order
-
-    told = _gmsh_to_meshio_order(name, np.arange(size)[None])[0].tolist()
+    told = from_gmsh(name, np.arange(size)[None])[0].tolist()
     return [told.index(k) for k in range(size)]
 
 
 def _sizes() -> dict[int, int]:
     """Number of nodes by the number of the type."""
-    from meshio._common import num_nodes_per_cell
-
-    return {number: num_nodes_per_cell[kind] for number, kind in type_names().items()}
+    return {number: nodes_of(kind) or 0 for number, kind in type_names().items()}
 
 
 def _entities(file: File, numbers: Numbers, parted: bool) -> dict[tuple[int, int], Entity]:
@@ -251,7 +248,6 @@ def _blocks(runs: list[Run]) -> list[tuple[int, int, str, NDArray[Any]]]:
 def _old_mesh(found: gmsh_tables.Nodes, runs: list[Run], names: Any, data: Any) -> Any:
     """Make a mesh of a file of version 1 or 2, whose elements have tags."""
     from meshio import CellBlock, Mesh
-    from meshio.gmsh.common import _gmsh_to_meshio_order
 
     kinds = type_names()
     blocks: list[list[Run]] = []
@@ -260,7 +256,7 @@ def _old_mesh(found: gmsh_tables.Nodes, runs: list[Run], names: Any, data: Any) 
             blocks.append([])
         blocks[-1].append(run)
     cells: list[Any] = [CellBlock(
-        kinds[block[0].kind], _gmsh_to_meshio_order(
+        kinds[block[0].kind], from_gmsh(
             kinds[block[0].kind],
             places(found.tags, np.concatenate([run.nodes for run in block]), "node")))
         for block in blocks]
@@ -309,7 +305,6 @@ def places(tags: NDArray[Any], wanted: NDArray[Any], what: str) -> NDArray[np.in
 
 def _mesh(nodes: Any, blocks: Any, entities: Any, names: Any, data: Any) -> Any:
     from meshio import CellBlock, Mesh
-    from meshio.gmsh.common import _gmsh_to_meshio_order
 
     points, tags, of_nodes = nodes
     none = Entity([], [])
@@ -319,7 +314,7 @@ def _mesh(nodes: Any, blocks: Any, entities: Any, names: Any, data: Any) -> Any:
         blocks, part = _without_cuts(blocks, part, entities)
     found = [entities.get((dim, tag), none) for dim, tag, _, _ in blocks]
     cells: list[Any] = [
-        CellBlock(kind, _gmsh_to_meshio_order(kind, places(tags, rows[:, 1:], "node")))
+        CellBlock(kind, from_gmsh(kind, places(tags, rows[:, 1:], "node")))
         for _, _, kind, rows in blocks]
     size = [len(rows) for _, _, _, rows in blocks]
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from odt_plugins.adapters.formats.decks import unread
+from odt_plugins.adapters.formats.readers import reader_of
 from odt_plugins.errors import MeshFileError
 
 TETRA = 10
@@ -82,8 +83,6 @@ def _inside(group: Any) -> dict[str, Any]:
 
 
 def _read(path: Path, name: str) -> Any:
-    from meshio._helpers import reader_map
-
     # A number that is none would become an index.
     with np.errstate(all="raise", under="ignore"):
-        return reader_map[name](str(path))
+        return reader_of(name)(str(path))

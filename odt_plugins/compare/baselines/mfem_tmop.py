@@ -35,8 +35,8 @@ def prepare(start: StartMesh, settings: Settings) -> Task:
     the first gradient at which it ends.
     """
     import mfem.ser as mfem
-    from mfem._ser import tmop, tmop_tools
 
+    tmop = mfem.tmop
     n, d = start.points.shape
     unit = mean_edge(start)
     points = start.points / unit
@@ -73,7 +73,7 @@ def prepare(start: StartMesh, settings: Settings) -> Task:
     _limited(linear, settings["linear"], 1e-12)
     if d == 2:
         linear.SetPreconditioner(scaling)
-    solver = tmop_tools.TMOPNewtonSolver(rules.Get(mesh.GetElementBaseGeometry(0), ORDER), 0)
+    solver = tmop.TMOPNewtonSolver(rules.Get(mesh.GetElementBaseGeometry(0), ORDER), 0)
     solver.SetIntegrationRules(rules, ORDER)
     solver.SetPreconditioner(linear)
     solver.SetMinDetPtr(least.GetData())
