@@ -10,6 +10,7 @@ import contract
 import meshio
 import numpy as np
 import pytest
+import quadratic_meshes
 import tet_meshes as tm
 from click.testing import CliRunner
 from hypothesis import given
@@ -26,7 +27,7 @@ from odt_plugins.engine.record.figures import figures
 from odt_plugins.engine.run import plan, stages
 from odt_plugins.engine.run.outcome import Outcome
 from odt_plugins.engine.run.plan import run
-from odt_plugins.errors import InvalidOptionError, UnsupportedMeshError
+from odt_plugins.errors import InvalidOptionError
 from odt_plugins.mesh.simplex import simplex_mesh
 from odt_plugins.options import Options
 
@@ -430,15 +431,32 @@ def test_small_index_types_grow(monkeypatch):
     assert (contract.volumes(*out) > 0).all()
 
 
-@pytest.mark.parametrize("name", [name for name in contract.HOSTS if name not in LINEAR_HOSTS])
+@pytest.mark.parametrize("name", [
+    name for name, host in contract.HOSTS.items() if host.dim == 3 and "quadratic" in name])
+def test_curved_cells_stay_as_vertices_come(name, monkeypatch, tmp_path):
+    contract.need(name)
+    monkeypatch.chdir(tmp_path)
+    host = contract.HOSTS[name]
+    mesh = host.make()
+    (old, rows), (new, cells) = (quadratic_meshes.view(m, 3)[:2] for m in (
+        mesh, host.optimize(mesh, insert=0.5, keep=())))
+    assert (contract.volumes(new, cells[:, :4]) > 0).all()
+    off = [(old[row[k]] - old[[row[i], row[j]]].mean(axis=0)) for row in rows.tolist()
+           for k, (i, j) in enumerate(quadratic_meshes.EDGES[3], 4)]
+    curved = (np.abs(off) > 1e-2).any(axis=1).reshape(len(rows), -1).any(axis=1)
+    assert curved.any()
+    was, now = ({frozenset(map(tuple, cell)) for cell in x.tolist()}
+                for x in (old[rows[curved]], new[cells]))
+    assert was <= now
+
+
+@pytest.mark.parametrize("name", [name for name, host in contract.HOSTS.items() if host.dim == 2])
 def test_other_meshes_are_refused_before_any_work(name, monkeypatch, tmp_path):
     contract.need(name)
     monkeypatch.chdir(tmp_path)
     host = contract.HOSTS[name]
     monkeypatch.setattr(plan, "run", lambda *_: pytest.fail("work was done"))
-    what = "insert=True for a mesh of (triangles|faces)" if host.dim == 2 else (
-        f"curved edges of quadratic {host.word}")
-    with pytest.raises((InvalidOptionError, UnsupportedMeshError), match=what):
+    with pytest.raises(InvalidOptionError, match=r"insert=True for a mesh of (triangles|faces)"):
         host.optimize(host.make(), insert=True)
 
 
