@@ -78,7 +78,8 @@ def of_cells(options: Options, cells: Indices | None, count: int) -> Options:
 
 
 def with_others(
-    rows: NDArray[Any], cells: NDArray[Any], source: NDArray[Any], own: Indices
+    rows: NDArray[Any], cells: NDArray[Any], source: NDArray[Any], own: Indices,
+    number: NDArray[Any],
 ) -> tuple[NDArray[Any], NDArray[Any]]:
     """Cells and their source with those beside them, in the order of the caller's.
 
@@ -88,11 +89,12 @@ def with_others(
     cells : (q, k)     of the result
     source : (q,)      cell among `own` of which each has the data
     own : (m',)        cells that the engine saw
+    number : (n,)      new index of every vertex
     """
     other = np.setdiff1d(np.arange(len(rows)), own)
     joined = np.concatenate([own[source], other])
     order = np.argsort(joined, kind="stable")
-    return (np.concatenate([cells, rows[other]]).astype(cells.dtype)[order],
+    return (np.concatenate([cells, number[rows[other]]]).astype(cells.dtype)[order],
             joined[order].astype(source.dtype))
 
 

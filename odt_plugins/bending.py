@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters.elevated import Curved, Edges, curved_edges
+from odt_plugins.adapters.elevated import Curved, curved_edges
 from odt_plugins.adapters.host import HostMesh
 from odt_plugins.errors import counted
 from odt_plugins.following import Prepared
@@ -84,13 +84,14 @@ def with_bent(
 ) -> tuple[Prepared, Options, Bent | None]:
     """The mesh of the corners of quadratic cells, and its curved surface if what comes goes there.
 
-    The envelope is around that. Else the curved cells stay.
+    The envelope is around that. Else, and where the engine does not see all cells, the curved ones
+    stay.
     """
     edges = curved_edges(given)
     if not len(edges.ends):
         return work, options, None
-    if not free:
-        return _still(work, edges), options, None
+    if not free or work.own is not None:
+        return _still(work, given, edges.ends), options, None
     nodes = np.asarray(given.points, dtype=np.float64)
     nodes = _in_space(nodes if work.frame is None else work.frame.to_plane(nodes))
     mesh, n = work.mesh, len(nodes)
@@ -156,14 +157,20 @@ def _surface(
     return facets, edges.vertices[sharp]
 
 
-def _still(work: Prepared, edges: Edges) -> Prepared:
-    """The mesh whose curved cells stay."""
-    ends, rows = edges.ends, np.asarray(work.mesh.cells)
+def _still(work: Prepared, given: HostMesh, ends: NDArray[np.int64]) -> Prepared:
+    """The mesh whose cells at some edges stay, and at those of cells that it does not have."""
+    own, rows = work.own, np.asarray(work.mesh.cells)
+    if own is not None:
+        ends = np.concatenate([ends, _edges_of(np.delete(np.asarray(given.cells), own, axis=0))])
+    key = row_keys(np.concatenate([_edges_of(rows), np.sort(ends, axis=1)]), len(work.mesh.points))
+    stays: Any = np.isin(key[: -len(ends)], key[-len(ends):]).reshape(len(rows), -1).any(axis=1)
+    return work._replace(mesh=freeze(work.mesh, stays))
+
+
+def _edges_of(rows: NDArray[Any]) -> NDArray[np.int64]:
+    """Edges (m e, 2) of cells (m, d + 1), ascending, cell by cell."""
     pairs = np.array(np.triu_indices(rows.shape[1], 1)).T
-    key = row_keys(np.concatenate([np.sort(rows[:, pairs].reshape(-1, 2), axis=1), ends]),
-                   len(work.mesh.points))
-    curved: Any = np.isin(key[: -len(ends)], key[-len(ends):]).reshape(len(rows), -1).any(axis=1)
-    return work._replace(mesh=freeze(work.mesh, curved))
+    return np.sort(rows[:, pairs].reshape(-1, 2), axis=1).astype(np.int64)
 
 
 def _put(bent: Bent, before: FloatArray, outcome: Outcome) -> FloatArray:

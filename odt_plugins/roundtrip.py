@@ -188,7 +188,9 @@ def run_engine(
     if work.orientation < 0:
         cells = reverse(cells, np.ones(len(cells), dtype=np.bool_))
     if work.own is not None:
-        cells, source = with_others(given.cells, cells, source, work.own)
+        n = len(work.mesh.points)
+        number = np.arange(n) if outcome.origin is None else new_numbers(outcome.origin, n)
+        cells, source = with_others(given.cells, cells, source, work.own, number)
     faces = new_faces(work, given, outcome)
     whence = cell_origin(work.host.ids, work.host.total, source, [
         (kept.ids, now.source) for kept, now in zip(given.kept, faces, strict=False)

@@ -150,6 +150,16 @@ def test_curved_cells_stay_where_the_boundary_does_and_where_vertices_are_insert
         assert was <= now
 
 
+def test_a_valid_cell_whose_corners_are_inverted_stays():
+    x, cells = curved_meshes.notched(lattice(2, 2))
+    mesh = meshio.Mesh(x, [("triangle6", cells)])
+    for out in (remesh(mesh, scale=0.6), remesh(mesh, scale=1.5)):
+        there = {frozenset(map(tuple, cell)) for cell in out.points[out.cells[0].data].tolist()}
+        assert frozenset(map(tuple, x[cells[-1]].tolist())) in there
+        low, high, _ = curved_meshes.qualities(out.points, out.cells[0].data, 2, 2)
+        assert (np.sign(low) * np.sign(high) > 0).all()
+
+
 def test_edges_of_folded_cells_become_straight():
     shape = lattice(3, 2)
     points = shape @ np.vstack([np.zeros(3), np.eye(3)]) / 2

@@ -5,7 +5,7 @@ from __future__ import annotations
 import meshio
 import numpy as np
 import pytest
-from curved_meshes import NAMES, annulus, qualities
+from curved_meshes import NAMES, annulus, notched, qualities
 
 import odt_plugins
 from odt_plugins.adapters.higher_order import lattice
@@ -136,55 +136,13 @@ def test_a_torus_of_quadratic_tetrahedra_stays_valid(suffix, torus, tmp_path):
     no_worse(*found, 3, 2)
 
 
-def _grid(order, flat):
-    """A grid with one more cell below, which has a corner on its longest edge or beyond."""
-    n = 6
-    x, y = np.meshgrid(np.arange(n + 1.0), np.arange(n + 1.0), indexing="ij")
-    points = np.column_stack([x.ravel(), y.ravel()])
-    points[:, :] += 0.25 * np.sin(np.arange(2 * len(points)).reshape(-1, 2)) * (
-        (points > 0) & (points < n)).all(axis=1)[:, None]
-    cells = []
-    for i in range(n):
-        for j in range(n):
-            a, b, c, d = i * (n + 1) + j, (i + 1) * (n + 1) + j, (i + 1) * (n + 1) + j + 1, (
-                i * (n + 1) + j + 1)
-            cells += [[a, b, c], [a, c, d]]
-    # A cell on the edge y = 0 between x = 2 and 4, whose outer edge is a deep arc.
-    first, mid, last = 2 * (n + 1), 3 * (n + 1), 4 * (n + 1)
-    cells.append([first, last, mid])
-    points[mid, 1] = 0.0 if flat else -0.1
-    shape = lattice(2, order, "gmsh")
-    nodes, rows, places = list(points), [], {}
-    for cell in cells:
-        row = []
-        for weights in shape.tolist():
-            place = frozenset((v, w) for v, w in zip(cell, weights, strict=True) if w)
-            if len(place) == 1:
-                row.append(next(iter(place))[0])
-                continue
-            if place not in places:
-                places[place] = len(nodes)
-                node = sum(w * points[v] for v, w in place) / order
-                depth = {frozenset([first, last]): 1.0, frozenset([first, mid]): 0.1,
-                         frozenset([mid, last]): 0.1}.get(frozenset(v for v, _ in place), 0.0)
-                t = dict(place)[max(v for v, _ in place)] / order
-                node = node - np.array([0.0, 4 * depth * t * (1 - t)])
-                nodes.append(node)
-            row.append(places[place])
-        if order == 3:
-            corners, edges = np.array(nodes)[row[:3]], np.array(nodes)[row[3:9]]
-            nodes[row[9]] = edges.sum(axis=0) / 4 - corners.sum(axis=0) / 6
-        rows.append(row)
-    return np.array(nodes), np.array(rows)
-
-
 @pytest.mark.parametrize("turned", [False, True])
 @pytest.mark.parametrize("flat", [True, False])
 @pytest.mark.parametrize("order", [2, 3])
 @pytest.mark.parametrize("host", ["meshio", "pyvista"])
 def test_valid_cells_with_inverted_or_flat_corners_stay(host, order, flat, turned):
     pytest.importorskip("gmsh")
-    nodes, rows = _grid(order, flat)
+    nodes, rows = notched(lattice(2, order, "gmsh"), flat=flat)
     # Gmsh takes the sign of the corners, and says nothing where they have none.
     low, high, _ = qualities(nodes, rows[:-1] if flat else rows, 2, order)
     assert (np.sign(low) * np.sign(high) > 0).all()
