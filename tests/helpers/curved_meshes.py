@@ -11,7 +11,6 @@ NAMES = {(2, 2): "triangle6", (2, 3): "triangle10", (2, 4): "triangle15",
 
 def annulus(shape, around=7, seed=0, inner=1.0, outer=1.9):
     """Nodes and cells of an annulus whose rims are round; vertices inside lie at random."""
-    order = int(shape[0, 0])
     rng = np.random.default_rng(seed)
     turn = 2 * np.pi * np.arange(around) / around
     rings = [inner * np.exp(1j * turn), outer * np.exp(1j * turn)]
@@ -24,28 +23,14 @@ def annulus(shape, around=7, seed=0, inner=1.0, outer=1.9):
     x = points[cells]
     turned = np.linalg.det(x[:, 1:] - x[:, :1]) < 0
     cells[turned] = cells[turned][:, [0, 2, 1]]
-    nodes, places, rows = list(points), {}, []
-    for cell in cells.tolist():
-        row = []
-        for weights in shape.tolist():
-            place = frozenset((v, w) for v, w in zip(cell, weights, strict=True) if w)
-            if len(place) == 1:
-                row.append(next(iter(place))[0])
-                continue
-            if place not in places:
-                places[place] = len(nodes)
-                node = sum(w * points[v] for v, w in place) / order
-                ring = {v // around for v, _ in place}
-                if len(place) == 2 and len(ring) == 1 and max(ring) < 2:
-                    node = node * (inner, outer)[ring.pop()] / np.linalg.norm(node)
-                nodes.append(node)
-            row.append(places[place])
-        if order == 3:
-            # The serendipity place of the node in the middle.
-            corners, edges = np.array(nodes)[row[:3]], np.array(nodes)[row[3:9]]
-            nodes[row[9]] = edges.sum(axis=0) / 4 - corners.sum(axis=0) / 6
-        rows.append(row)
-    return np.array(nodes), np.array(rows)
+
+    def bent(node, place):
+        ring = {v // around for v, _ in place}
+        if len(place) == 2 and len(ring) == 1 and max(ring) < 2:
+            return node * (inner, outer)[ring.pop()] / np.linalg.norm(node)
+        return node
+
+    return _widened(points, cells.tolist(), shape, bent)
 
 
 def notched(shape, *, flat=False):
@@ -65,7 +50,24 @@ def notched(shape, *, flat=False):
     first, mid, last = 2 * (n + 1), 3 * (n + 1), 4 * (n + 1)
     cells.append([first, last, mid])
     points[mid, 1] = 0.0 if flat else -0.1
-    nodes, rows, places = list(points), [], {}
+    deep = {frozenset([first, last]): 1.0, frozenset([first, mid]): 0.1,
+            frozenset([mid, last]): 0.1}
+
+    def bent(node, place):
+        t = dict(place)[max(v for v, _ in place)] / order
+        return node - [0.0, 4 * deep.get(frozenset(v for v, _ in place), 0.0) * t * (1 - t)]
+
+    return _widened(points, cells, shape, bent)
+
+
+def _widened(points, cells, shape, bent):
+    """Nodes and rows of triangles of a higher order.
+
+    A node between corners is where ``bent`` puts its straight place, told of which corners with
+    which weights that is.
+    """
+    order = int(shape[0, 0])
+    nodes, places, rows = list(points), {}, []
     for cell in cells:
         row = []
         for weights in shape.tolist():
@@ -75,14 +77,10 @@ def notched(shape, *, flat=False):
                 continue
             if place not in places:
                 places[place] = len(nodes)
-                node = sum(w * points[v] for v, w in place) / order
-                depth = {frozenset([first, last]): 1.0, frozenset([first, mid]): 0.1,
-                         frozenset([mid, last]): 0.1}.get(frozenset(v for v, _ in place), 0.0)
-                t = dict(place)[max(v for v, _ in place)] / order
-                node = node - np.array([0.0, 4 * depth * t * (1 - t)])
-                nodes.append(node)
+                nodes.append(bent(sum(w * points[v] for v, w in place) / order, place))
             row.append(places[place])
         if order == 3:
+            # The serendipity place of the node in the middle.
             corners, edges = np.array(nodes)[row[:3]], np.array(nodes)[row[3:9]]
             nodes[row[9]] = edges.sum(axis=0) / 4 - corners.sum(axis=0) / 6
         rows.append(row)
