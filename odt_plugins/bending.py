@@ -124,10 +124,10 @@ def leaving_bent(leaving: Leaving, mesh: SimplexMesh) -> Leaving:
     return lambda outcome: leaving(replace(outcome, points=smooth.put(outcome)))
 
 
-def note_on_straight(count: int) -> tuple[str, ...]:
-    """What a report says of edges that are straight lest cells fold."""
-    return (f"{counted(count, 'edge')} of the curved surface became straight, since cells would "
-            f"fold there",) if count else ()
+def note_on_flatter(count: int) -> tuple[str, ...]:
+    """What a report says of edges that are flatter lest cells be poor."""
+    return (f"{counted(count, 'edge')} of cells are flatter than the curved surface, where cells "
+            f"would fold or be poor, as none of the input is",) if count else ()
 
 
 def _in_space(points: FloatArray) -> FloatArray:

@@ -34,7 +34,7 @@ from odt_plugins.adapters.regions import AUTO, CHARTS, are_names
 from odt_plugins.adapters.registry import find_adapter
 from odt_plugins.adapters.wedges import glued, without_seams
 from odt_plugins.aside import note, of_cells, seen, with_others, without_others
-from odt_plugins.bending import leaving_bent, middles, note_on_straight, with_bent
+from odt_plugins.bending import leaving_bent, middles, note_on_flatter, with_bent
 from odt_plugins.carry import cell_origin, in_input_order, surrounding_cells
 from odt_plugins.curved import Kept, keep_curved, untangled_around
 from odt_plugins.errors import (
@@ -211,9 +211,9 @@ def run_engine(
         faces=faces,
     )
     if given.higher_order and not work.host.higher_order:
-        result, straight = elevated(result, given, locating(work, near),
+        result, flatter = elevated(result, given, locating(work, near),
                                     bent and middles(bent, outcome, work.frame))
-        told["notes"] += note_on_straight(straight)
+        told["notes"] += note_on_flatter(flatter)
     out = work.adapter.write(result, given)
     if given.higher_order:
         # The writer puts nodes on edges and faces, of which there are others.

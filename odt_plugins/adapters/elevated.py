@@ -31,6 +31,9 @@ STRAIGHT = 1e-3
 """Largest distance of a node from the middle of its edge, in lengths of the edge, for which the
 edge is straight."""
 
+POOR = 0.3
+"""Scaled Jacobian from which on cells are good enough for edges not to be flatter."""
+
 ROUNDS = 30
 """How often the place of a node within curved cells is corrected at most."""
 
@@ -107,7 +110,7 @@ def elevated(
     Returns
     -------
     result : Result
-    straight : int       edges whose nodes are in the middle lest cells fold
+    flatter : int        edges of the curved surface that are flatter lest cells be poor
     """
     n, rows = len(host.points), np.asarray(result.cells, dtype=np.int64)
     shape: Any = host.shape
@@ -144,7 +147,7 @@ def elevated(
     at[~stays] = there.sum() + np.arange((~stays).sum())
     out[at[stays & shifted]] = middle[stays & shifted]
     cells = np.concatenate([index[rows], at[inverse.reshape(len(rows), -1)]], axis=1)
-    straight = 0
+    flatter = 0
     if curved is not None:
         key = row_keys(np.concatenate([ends, np.sort(curved.ends, axis=1)]), len(points))
         order = np.argsort(key[: len(ends)])
@@ -152,7 +155,7 @@ def elevated(
         new = (~stays | shifted)[which]
         least = jacobian_bounds(np.asarray(host.points)[nodes], shape).scaled.min()
         _bend(out, cells, shape, (at[which], curved.places, new), least)
-        straight = _unfold(out, cells, shape)
+        flatter = _unfold(out, cells, shape, min(least, POOR))
 
     origin = np.concatenate([origin[there], np.full((~stays).sum(), -1)])
     number = np.where(number < 0, -1, index[number])
@@ -172,7 +175,7 @@ def elevated(
     faces = tuple(faces and NewFaces(_with_middles(faces.rows, index, number_of), faces.source)
                   for faces in result.faces)
     return result._replace(points=out, cells=as_indices(cells, result.cells), vertices=followed,
-                           locate=None, faces=faces), straight
+                           locate=None, faces=faces), flatter
 
 
 def _in_curved(
@@ -213,22 +216,26 @@ def _bend(
 
 
 def _unfold(
-    points: NDArray[Any], cells: NDArray[np.int64], shape: NDArray[np.int64]
+    points: NDArray[Any], cells: NDArray[np.int64], shape: NDArray[np.int64], least: float
 ) -> int:
-    """Straighten edges of cells that are folded, half first, then all; how many are straight."""
+    """Flatten edges of cells that are folded or whose scaled Jacobian is below ``least``; how many.
+
+    The way of a node from the middle is halved some times, and then it is in the middle.
+    """
     pairs, corners = _pairs(shape), shape.shape[1]
-    straight: set[int] = set()
-    for share in (0.5, 0.5, 0.0, 0.0):
-        folded = cells[~jacobian_bounds(points[cells], shape).valid]
-        if not len(folded):
+    flatter: set[int] = set()
+    for share in (0.5, 0.5, 0.5, 0.0, 0.0):
+        bounds = jacobian_bounds(points[cells], shape)
+        poor = cells[~bounds.valid | (bounds.scaled < least)]
+        if not len(poor):
             break
-        node, first = np.unique(folded[:, corners:], return_index=True)
-        ends = folded[:, pairs].reshape(-1, 2)[first]
+        node, first = np.unique(poor[:, corners:], return_index=True)
+        ends = poor[:, pairs].reshape(-1, 2)[first]
         middle = 0.5 * (points[ends[:, 0]] + points[ends[:, 1]].astype(np.float64))
-        if share == 0.0:
-            straight |= set(node[(points[node] != middle).any(axis=1)].tolist())
-        points[node] = middle + share * (points[node] - middle)
-    return len(straight)
+        places = (middle + share * (points[node] - middle)).astype(points.dtype)
+        flatter |= set(node[(points[node] != places).any(axis=1)].tolist())
+        points[node] = places
+    return len(flatter)
 
 
 def _with_middles(

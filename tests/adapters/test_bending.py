@@ -48,6 +48,12 @@ def least(x, cells):
     return curved_meshes.qualities(x, cells[:, [0, 1, 2, 3, 4, 5, 6, 7, 9, 8]], 3, 2)[0]
 
 
+def scaled(x, cells):
+    """Least of the least determinants by the largest of every tetrahedron, by Gmsh."""
+    low, high, _ = curved_meshes.qualities(x, cells[:, [0, 1, 2, 3, 4, 5, 6, 7, 9, 8]], 3, 2)
+    return (low / high).min()
+
+
 def skin(cells):
     """Facets (k, 6) of one cell alone."""
     facets = np.concatenate([cells[:, side] for side in SIDES])
@@ -86,6 +92,7 @@ def test_what_comes_on_the_surface_is_on_the_curved_one_and_no_cell_folds(body, 
     assert now < 6e-3
     assert was < 1e-9
     assert (least(out.points, rows) > 0).all()
+    assert scaled(out.points, rows) > 0.3 < scaled(x, cells)
     assert np.array_equal(np.unique(rows), np.arange(len(out.points)))
     assert np.allclose(out.point_data["f"], out.points @ [1, -2, 3], atol=2e-3)
 
@@ -160,13 +167,14 @@ def test_a_valid_cell_whose_corners_are_inverted_stays():
         assert (np.sign(low) * np.sign(high) > 0).all()
 
 
-def test_edges_of_folded_cells_become_straight():
+def test_edges_of_folded_or_poor_cells_become_flatter():
     shape = lattice(3, 2)
     points = shape @ np.vstack([np.zeros(3), np.eye(3)]) / 2
-    points[4] = [0.5, 0.9, 0.9]
-    assert _unfold(points, np.arange(10)[None], shape) == 1
-    assert (least(points, np.arange(10)[None]) > 0).all()
-    points[4] += [0, 0.05, 0.05]
+    points[4] = [0.5, 0.3, 0.3]
+    assert _unfold(points, np.arange(10)[None], shape, 0.1) == 1
+    assert scaled(points, np.arange(10)[None]) >= 0.1
     bent = points.copy()
-    assert _unfold(points, np.arange(10)[None], shape) == 0
+    assert _unfold(points, np.arange(10)[None], shape, 0.1) == 0
     assert np.array_equal(points, bent)
+    assert _unfold(points, np.arange(10)[None], shape, 0.9) == 1
+    assert scaled(points, np.arange(10)[None]) >= 0.9
