@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters.elevated import Curved, curved_edges
+from odt_plugins.adapters.elevated import BentEdges, curved_edges
 from odt_plugins.adapters.host import HostMesh
 from odt_plugins.errors import counted
 from odt_plugins.following import Prepared
@@ -117,7 +117,7 @@ def with_bent(
 
 
 def leaving_bent(leaving: Leaving, mesh: SimplexMesh) -> Leaving:
-    """The same of meshes of triangles, which are put onto the curved surface as they leave."""
+    """What ``leaving`` does, and vertices of triangles go onto the curved surface before."""
     smooth = mesh.smooth
     if smooth is None or mesh.dim != 2:
         return leaving
@@ -183,7 +183,7 @@ def _put(bent: Bent, before: FloatArray, outcome: Outcome) -> FloatArray:
     return points
 
 
-def middles(bent: Bent, outcome: Outcome, frame: PlaneFrame | None) -> Curved:
+def middles(bent: Bent, outcome: Outcome, frame: PlaneFrame | None) -> BentEdges:
     """Edges of the surface of a mesh and where their nodes are on the curved one."""
     facets, ends = _surface(outcome, bent.angle, surface=bent.surface)
     n, sharp = len(outcome.points), ends
@@ -193,7 +193,7 @@ def middles(bent: Bent, outcome: Outcome, frame: PlaneFrame | None) -> Curved:
     reach = NEAR_LINE * np.sqrt(((b - a) ** 2).sum(axis=1))
     reach[~np.isin(row_keys(ends, n), row_keys(sharp, n))] = -1.0
     places = _over(bent, 0.5 * (a + b), reach)
-    return Curved(ends, places if frame is None else frame.to_space(places))
+    return BentEdges(ends, places if frame is None else frame.to_space(places))
 
 
 def _over(bent: Bent, places: FloatArray, reach: FloatArray) -> FloatArray:

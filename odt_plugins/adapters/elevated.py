@@ -58,7 +58,7 @@ def held(host: HostMesh) -> HostMesh:
     return replace(host, kept=(*host.kept, *kept)) if kept else host
 
 
-class Curved(NamedTuple):
+class BentEdges(NamedTuple):
     """Edges (k, 2) of a surface by their ends, and places (k, D) of their nodes."""
 
     ends: NDArray[Any]
@@ -96,7 +96,7 @@ def curved_edges(host: HostMesh) -> Edges:
 
 def elevated(
     result: Result, host: HostMesh, locate: Callable[[NDArray[Any], NDArray[Any]], Any],
-    curved: Curved | None = None,
+    curved: BentEdges | None = None,
 ) -> tuple[Result, int]:
     """Put a node on every edge of the result of :func:`linear`.
 
@@ -105,7 +105,7 @@ def elevated(
     result : Result      of the corners; nodes of before are vertices that no cell has
     host : HostMesh      with all nodes
     locate : callable    input cells around places near some input cells, and coordinates there
-    curved : Curved      of the input; of the edges of the result where nodes are not in the middle
+    curved : BentEdges   of the input; of the edges of the result where nodes are not in the middle
 
     Returns
     -------
