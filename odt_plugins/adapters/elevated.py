@@ -105,7 +105,7 @@ def elevated(
     result : Result      of the corners; nodes of before are vertices that no cell has
     host : HostMesh      with all nodes
     locate : callable    input cells around places near some input cells, and coordinates there
-    curved : BentEdges   of the input; of the edges of the result where nodes are not in the middle
+    curved : BentEdges   of the result, where nodes are not in the middle; none of straight edges
 
     Returns
     -------
@@ -154,8 +154,8 @@ def elevated(
         which = order[np.searchsorted(key[: len(ends)][order], key[len(ends):])]
         new = (~stays | shifted)[which]
         least = jacobian_bounds(np.asarray(host.points)[nodes], shape).scaled.min()
-        _bend(out, cells, shape, (at[which], curved.places, new), least)
-        flatter = _unfold(out, cells, shape, min(least, POOR))
+        out[at[which[new]]] = curved.places[new].astype(points.dtype)
+        flatter = _unfold(out, cells, shape, at[~stays | shifted], min(least, POOR))
 
     origin = np.concatenate([origin[there], np.full((~stays).sum(), -1)])
     number = np.where(number < 0, -1, index[number])
@@ -204,33 +204,26 @@ def _in_curved(
     return out
 
 
-def _bend(
-    points: NDArray[Any], cells: NDArray[np.int64], shape: NDArray[np.int64],
-    curved: tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.bool_]], least: float,
-) -> None:
-    """Put new nodes (k,) onto the curved surface, old ones where cells are worse than they were."""
-    node, places, new = curved
-    points[node[new]] = places[new].astype(points.dtype)
-    worse = np.isin(node, cells[jacobian_bounds(points[cells], shape).scaled < least])
-    points[node[worse]] = places[worse].astype(points.dtype)
-
-
 def _unfold(
-    points: NDArray[Any], cells: NDArray[np.int64], shape: NDArray[np.int64], least: float
+    points: NDArray[Any], cells: NDArray[np.int64], shape: NDArray[np.int64],
+    new: NDArray[np.int64], least: float,
 ) -> int:
-    """Flatten edges of cells that are folded or whose scaled Jacobian is below ``least``; how many.
+    """Flatten new edges of cells whose scaled Jacobian is below ``least``, all of folded cells.
 
-    The way of a node from the middle is halved some times, and then it is in the middle.
+    The way of a node from the middle is halved some times, and then it is in the middle. Returns
+    how many edges are flatter.
     """
     pairs, corners = _pairs(shape), shape.shape[1]
     flatter: set[int] = set()
     for share in (0.5, 0.5, 0.5, 0.0, 0.0):
         bounds = jacobian_bounds(points[cells], shape)
-        poor = cells[~bounds.valid | (bounds.scaled < least)]
-        if not len(poor):
+        poor = ~bounds.valid | (bounds.scaled < least)
+        node, first = np.unique(cells[poor, corners:], return_index=True)
+        ends = cells[poor][:, pairs].reshape(-1, 2)[first]
+        move = np.isin(node, new) | np.isin(node, cells[~bounds.valid])
+        node, ends = node[move], ends[move]
+        if not len(node):
             break
-        node, first = np.unique(poor[:, corners:], return_index=True)
-        ends = poor[:, pairs].reshape(-1, 2)[first]
         middle = 0.5 * (points[ends[:, 0]] + points[ends[:, 1]].astype(np.float64))
         places = (middle + share * (points[node] - middle)).astype(points.dtype)
         flatter |= set(node[(points[node] != places).any(axis=1)].tolist())

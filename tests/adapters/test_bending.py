@@ -171,10 +171,12 @@ def test_edges_of_folded_or_poor_cells_become_flatter():
     shape = lattice(3, 2)
     points = shape @ np.vstack([np.zeros(3), np.eye(3)]) / 2
     points[4] = [0.5, 0.3, 0.3]
-    assert _unfold(points, np.arange(10)[None], shape, 0.1) == 1
+    assert _unfold(points, np.arange(10)[None], shape, np.arange(4, 10), 0.1) == 1
     assert scaled(points, np.arange(10)[None]) >= 0.1
     bent = points.copy()
-    assert _unfold(points, np.arange(10)[None], shape, 0.1) == 0
+    assert _unfold(points, np.arange(10)[None], shape, np.arange(4, 10), 0.1) == 0
     assert np.array_equal(points, bent)
-    assert _unfold(points, np.arange(10)[None], shape, 0.9) == 1
+    assert _unfold(points, np.arange(10)[None], shape, np.arange(5, 10), 0.9) == 0
+    assert np.array_equal(points, bent)
+    assert _unfold(points, np.arange(10)[None], shape, np.arange(4, 10), 0.9) == 1
     assert scaled(points, np.arange(10)[None]) >= 0.9
