@@ -85,7 +85,7 @@ def metric_from_field(
     Notes
     -----
     M = c det|H|^(-1 / (2 p + d)) |H|, where |H| is the mean over the cells around of the Hessian
-    with the absolute values of its eigenvalues, where it is a saddle times the root of
+    with the absolute values of its eigenvalues, where it is a saddle times
     :func:`error_by_signs`, and c such that the integral of sqrt(det M) is that of `cells` good
     cells. No length is beyond half the diagonal of the mesh; where one is at it, the others are
     those with the least error then.
@@ -173,7 +173,7 @@ def hessians_to_metric(
         values, axes = eigenvalues(hessian)
         sizes = np.maximum(np.abs(values), least)
         sizes = np.maximum(sizes, sizes.max(axis=1, keepdims=True) / limits[1] ** 2)
-        level = np.sqrt(error_by_signs(values / sizes))
+        level = error_by_signs(values / sizes)
         part = of_eigenvalues(level[:, None] * sizes, axes)
         parts.append(_around(points, cells, part, along))
     metric = parts[0]
@@ -202,9 +202,8 @@ def error_by_signs(signs: FloatArray) -> FloatArray:
     The root of the mean over all rotations of the squared L^2 error on a cell that is regular in
     |H|. It is a quadratic function of T = diag(signs) that rotations leave as it is, so of d, for
     the trace of T^2, and of t, the trace of T: that of d + SIGNED t^2, by the moments of
-    barycentric coordinates. Where H is no saddle cells of one size err most, so those have to be
-    smaller; for p = 2 by this factor on |H| if all cells were regular. Those of a mesh are not,
-    which levels the errors: its root is taken.
+    barycentric coordinates. Cells err as if H were this factor times |H|: where H is no saddle they
+    err most, so that those have to be smaller.
 
     References
     ----------
