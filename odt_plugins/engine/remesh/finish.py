@@ -25,7 +25,7 @@ from odt_plugins.options import Options
 from odt_plugins.progress import part, silent
 
 SLIDING = 0.4
-"""Part of the allowed change of the volume that sliding may use."""
+"""Part of the allowed change of the volume that sliding may use, where none can be given back."""
 
 POOR = 0.6
 """Least 1 % quantile of the radius ratio for which no vertices are added."""

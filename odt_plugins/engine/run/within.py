@@ -21,7 +21,7 @@ class Within(NamedTuple):
     without : container of str    phases of stage 2 that are left out, where the boundary does not
                                   slide
     share : float                 part of the allowed change of the volume that a boundary that
-                                  slides may use
+                                  slides may use, where none of it can be given back
     fresh : (n,) bool or None     vertices that no run has moved yet, when others were: stage 1
                                   works around these, where finishing follows and the boundary does
                                   not slide

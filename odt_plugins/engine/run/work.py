@@ -204,7 +204,7 @@ def _slots(
     neighbors: IntArray | None,
 ) -> Complex:
     points = start.seen
-    skin = _skin(start, options, points, within.share) if slides(start.mesh, options) else None
+    skin = _skin(start, options, points, within) if slides(start.mesh, options) else None
     return make_complex(points, start.cells, start.regions, locked, boundary, skin, neighbors)
 
 
@@ -272,17 +272,21 @@ def _as_good_as_before(bounds: Bounds, points: FloatArray, cells: IntArray) -> B
     return bounds._replace(locked=bounds.locked._replace(quality=quality))
 
 
-def _skin(start: Start, options: Options, points: FloatArray, share: float) -> Skin:
+def _skin(start: Start, options: Options, points: FloatArray, within: Within) -> Skin:
     """The boundary as it may slide; interfaces, fixed vertices and frozen cells hold it."""
+    from odt_plugins.engine.run.volumes import REACH, volume_share
     from odt_plugins.engine.sliding.skin import make_skin, on_earlier_ground
 
     mesh, frame = start.mesh, start.frame
     locked = mesh.fixed | interface_vertices(mesh.cells, len(mesh.points), mesh.bodies())
     locked[mesh.cells[mesh.frozen]] = True
+    share, envelope = within.share, envelope_length(mesh, options) * frame.scale
+    if within.whole is None:
+        share, envelope = volume_share(mesh, options, locked, share), REACH * envelope
     skin = make_skin(
-        points, start.cells, locked=locked[frame.vertices],
-        envelope=envelope_length(mesh, options) * frame.scale, angle=options.feature_angle,
-        stays=start.pairs(mesh.stays), lines=start.pairs(mesh.lines), share=share,
+        points, start.cells, locked=locked[frame.vertices], envelope=envelope,
+        angle=options.feature_angle, stays=start.pairs(mesh.stays), lines=start.pairs(mesh.lines),
+        share=share,
     )
     if mesh.ground is None:
         return skin

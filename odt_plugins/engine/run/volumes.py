@@ -1,0 +1,174 @@
+"""Volumes of regions stay: smooth vertices that slid go out by a part of their heights.
+
+A vertex that slides into a face of the surface is no corner of it any more, so convex parts lose
+volume.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from odt_plugins.engine.cells.geometry import boundary_facets, signed_volumes
+from odt_plugins.engine.ground.features import find_features, marked_edges
+from odt_plugins.engine.ground.sheet import SMOOTH
+from odt_plugins.engine.policy import POLICY
+from odt_plugins.engine.record.figures import cell_shapes
+from odt_plugins.engine.run.judge import envelope_length
+from odt_plugins.engine.run.outcome import Outcome
+from odt_plugins.engine.topology.star import star_sum, vertex_stars
+from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray, LongArray
+from odt_plugins.mesh.numbering import new_numbers
+from odt_plugins.mesh.seen import as_seen
+from odt_plugins.mesh.simplex import SimplexMesh
+from odt_plugins.mesh.surface import surface_edges
+from odt_plugins.options import Options
+
+REACH = 0.9
+"""Part of its envelope within which a surface slides; the rest is for going out."""
+
+HIGHER = 0.5
+"""Largest part of its height by which a vertex goes out."""
+
+MOST = 4.0
+"""Largest part of the allowed change of the volume that a surface loses or gains as it slides."""
+
+SURE = 0.8
+"""Part of what smooth vertices can give back that counts."""
+
+STEPS = 3
+"""Corrections of the part of the heights, of which volumes are no linear function."""
+
+TURNS = 4
+"""Most times that vertices of cells stay which would be worse than the worst around."""
+
+WORSE = np.array([-1.0, 1.0, -1.0, -1.0])
+"""Signs for which the figures of :func:`cell_shapes` are larger the worse they are."""
+
+
+class Heights(NamedTuple):
+    """Smooth vertices of a boundary above the middles of their neighbours.
+
+    Attributes
+    ----------
+    vertices : (k,) int64
+    way : (k, 3) float64    their heights, along the mean normals of their triangles
+    gain : (k,) float64     volume for the whole height
+    most : (k,) float64     largest part of it
+    """
+
+    vertices: LongArray
+    way: FloatArray
+    gain: FloatArray
+    most: FloatArray
+
+
+def volume_share(
+    mesh: SimplexMesh, options: Options, locked: BoolArray, least: float
+) -> float:
+    """Part of the allowed change of the volume that may be lost, since it can be given back.
+
+    Parameters
+    ----------
+    mesh : SimplexMesh     before its boundary slides
+    options : Options
+    locked : (n,) bool     vertices that must not move
+    least : float          the part where nothing can be given back
+    """
+    found = _heights(mesh.points, mesh.cells, ~locked, mesh.lines, options, _reach(mesh, options))
+    allowed = POLICY.slide_volume * float(signed_volumes(mesh.points, mesh.cells).sum())
+    more = abs(float((found.most * found.gain).sum()))
+    return max(least, min(MOST, least + SURE * more / allowed))
+
+
+def with_volumes(mesh: SimplexMesh, outcome: Outcome, options: Options) -> Outcome:
+    """Give regions the volumes of a mesh again, as far as vertices may go.
+
+    Parameters
+    ----------
+    mesh : SimplexMesh
+    outcome : Outcome     of the mesh, whose boundary slid
+
+    Returns
+    -------
+    Outcome               all of a region went out by one part of their heights, so that what is
+                          flat stays flat; no cell at these vertices passes the extremes that those
+                          had
+    """
+    origin = np.arange(len(outcome.points)) if outcome.origin is None else outcome.origin
+    slid = (origin >= 0) & (outcome.points != mesh.points[origin]).any(axis=1)
+    lines = new_numbers(origin, len(mesh.points))[mesh.lines].astype(np.int32)
+    found = _heights(outcome.points, outcome.cells, slid, lines, options, _reach(mesh, options))
+    touched = outcome.cells[np.isin(outcome.cells, found.vertices).any(axis=1)]
+    if not len(touched):
+        return outcome
+
+    def shapes(points: FloatArray) -> FloatArray:
+        return WORSE * cell_shapes(*as_seen(points, touched, outcome.metric))
+
+    worst = shapes(outcome.points).max(axis=0)
+    for _ in range(TURNS):
+        points = _gone_out(mesh, outcome, found)
+        spoiled = (shapes(points) > worst).any(axis=1)
+        if not spoiled.any():
+            return replace(outcome, points=points)
+        stays = np.isin(found.vertices, touched[spoiled])
+        found = found._replace(most=np.where(stays, 0.0, found.most))
+    return outcome
+
+
+def _reach(mesh: SimplexMesh, options: Options) -> float:
+    """Length by which a vertex goes out at most."""
+    return (1.0 - REACH) * envelope_length(mesh, options)
+
+
+def _heights(
+    points: FloatArray, cells: IntArray, may: BoolArray, lines: IntArray, options: Options,
+    reach: float,
+) -> Heights:
+    """Heights of the smooth ones of the vertices (n,) that may move."""
+    n, triangles = len(points), boundary_facets(cells)
+    edges, stars = surface_edges(triangles, n), vertex_stars(triangles, n)
+    features = find_features(points, triangles, edges, stars, angle=options.feature_angle,
+                             fixed=~may, kept=marked_edges(edges, lines, n))
+    free = np.flatnonzero(features.kind == SMOOTH)
+    a, b, c = (points[triangles[:, i]] for i in range(3))
+    area = star_sum(np.cross(b - a, c - a), triangles, n)[free]
+    # every vertex of the ring lies on two triangles
+    ring = star_sum(a + b + c, triangles, n)[free] / np.diff(stars.indptr)[free, None]
+    height = ((points[free] - 0.5 * (ring - points[free])) * area).sum(axis=1)
+    squared = (area * area).sum(axis=1)
+    part = np.divide(height, squared, out=np.zeros(len(free)), where=squared > 0.0)
+    way = part[:, None] * area
+    long = np.sqrt((way * way).sum(axis=1))
+    most = np.divide(reach, long, out=np.full(len(long), HIGHER), where=long > 0.0)
+    return Heights(free, way, height / 6.0, np.minimum(HIGHER, most))
+
+
+def _gone_out(mesh: SimplexMesh, outcome: Outcome, found: Heights) -> FloatArray:
+    """Points where vertices went out, or in where regions have gained, until these have the
+    volumes of a mesh: of a region all that help, by one part of their heights.
+    """
+    labels, own = np.unique(mesh.bodies(outcome.regions), return_inverse=True)
+    region = np.zeros(len(outcome.points), dtype=np.intp)
+    region[outcome.cells] = own[:, None]
+    at = region[found.vertices]
+    goal = np.bincount(np.searchsorted(labels, mesh.bodies()),
+                       signed_volumes(mesh.points, mesh.cells), len(labels))
+
+    def lacking(points: FloatArray) -> FloatArray:
+        now = np.bincount(own, signed_volumes(points, outcome.cells), len(labels))
+        return np.asarray(goal - now)
+
+    lacks = lacking(outcome.points)
+    most = np.where(found.gain * lacks[at] > 0.0, found.most, 0.0)
+    gain = np.bincount(at, np.where(most > 0.0, found.gain, 0.0), len(labels))
+    points, share = outcome.points.copy(), np.zeros(len(labels))
+    for _ in range(STEPS):
+        share += np.divide(lacks, gain, out=np.zeros(len(labels)), where=gain != 0.0)
+        part = np.clip(share[at], 0.0, most)
+        points[found.vertices] = outcome.points[found.vertices] + part[:, None] * found.way
+        lacks = lacking(points)
+    return points
