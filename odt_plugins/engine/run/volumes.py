@@ -12,11 +12,12 @@ from typing import NamedTuple
 import numpy as np
 
 from odt_plugins.engine.cells.geometry import boundary_facets, signed_volumes
+from odt_plugins.engine.ground.envelope import distances
 from odt_plugins.engine.ground.features import find_features, marked_edges
 from odt_plugins.engine.ground.sheet import SMOOTH
 from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.record.figures import cell_shapes
-from odt_plugins.engine.run.judge import envelope_length
+from odt_plugins.engine.run.judge import TOLERANCE, envelope_length
 from odt_plugins.engine.run.outcome import Outcome
 from odt_plugins.engine.topology.star import star_sum, vertex_stars
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray, LongArray
@@ -37,6 +38,9 @@ MOST = 4.0
 
 SURE = 0.8
 """Part of what smooth vertices can give back that counts."""
+
+NEARLY = 1e-3
+"""Part of what regions lacked that they may still lack."""
 
 STEPS = 3
 """Corrections of the part of the heights, of which volumes are no linear function."""
@@ -77,7 +81,8 @@ def volume_share(
     locked : (n,) bool     vertices that must not move
     least : float          the part where nothing can be given back
     """
-    found = _heights(mesh.points, mesh.cells, ~locked, mesh.lines, options, _reach(mesh, options))
+    found = _heights(mesh.points, mesh.cells, ~locked, mesh.lines, options,
+                     _reach(mesh, options))
     allowed = POLICY.slide_volume * float(signed_volumes(mesh.points, mesh.cells).sum())
     more = abs(float((found.most * found.gain).sum()))
     return max(least, min(MOST, least + SURE * more / allowed))
@@ -97,13 +102,40 @@ def with_volumes(mesh: SimplexMesh, outcome: Outcome, options: Options) -> Outco
                           flat stays flat; no cell at these vertices passes the extremes that those
                           had
     """
+    points = _restored(mesh, outcome, options, _reach(mesh, options))
+    lacked = _lacking(mesh, outcome, outcome.points)
+    if (np.abs(_lacking(mesh, outcome, points)) > NEARLY * np.abs(lacked)).any():
+        points = _restored(mesh, outcome, options, _left(mesh, outcome, options))
+    return replace(outcome, points=points)
+
+
+def _reach(mesh: SimplexMesh, options: Options) -> float:
+    """Length by which a vertex may go out in any case."""
+    return (1.0 - REACH) * envelope_length(mesh, options)
+
+
+def _left(mesh: SimplexMesh, outcome: Outcome, options: Options) -> float:
+    """Length by which it may go out as far as the surface slid."""
+    least, length = _reach(mesh, options), envelope_length(mesh, options)
+    if mesh.ground is not None:
+        return least
+    both = distances((outcome.points, boundary_facets(outcome.cells)),
+                     (mesh.points, boundary_facets(mesh.cells)), TOLERANCE * length)
+    far = max(both.forward_upper, both.backward_upper)
+    return max(least, (1.0 - 2.0 * TOLERANCE) * length - far)
+
+
+def _restored(
+    mesh: SimplexMesh, outcome: Outcome, options: Options, reach: float
+) -> FloatArray:
+    """Points where the vertices that slid went out; where cells would be spoiled they stay."""
     origin = np.arange(len(outcome.points)) if outcome.origin is None else outcome.origin
     slid = (origin >= 0) & (outcome.points != mesh.points[origin]).any(axis=1)
     lines = new_numbers(origin, len(mesh.points))[mesh.lines].astype(np.int32)
-    found = _heights(outcome.points, outcome.cells, slid, lines, options, _reach(mesh, options))
+    found = _heights(outcome.points, outcome.cells, slid, lines, options, reach)
     touched = outcome.cells[np.isin(outcome.cells, found.vertices).any(axis=1)]
     if not len(touched):
-        return outcome
+        return outcome.points
 
     def shapes(points: FloatArray) -> FloatArray:
         return WORSE * cell_shapes(*as_seen(points, touched, outcome.metric))
@@ -113,15 +145,10 @@ def with_volumes(mesh: SimplexMesh, outcome: Outcome, options: Options) -> Outco
         points = _gone_out(mesh, outcome, found)
         spoiled = (shapes(points) > worst).any(axis=1)
         if not spoiled.any():
-            return replace(outcome, points=points)
+            return points
         stays = np.isin(found.vertices, touched[spoiled])
         found = found._replace(most=np.where(stays, 0.0, found.most))
-    return outcome
-
-
-def _reach(mesh: SimplexMesh, options: Options) -> float:
-    """Length by which a vertex goes out at most."""
-    return (1.0 - REACH) * envelope_length(mesh, options)
+    return outcome.points
 
 
 def _heights(
@@ -151,24 +178,25 @@ def _gone_out(mesh: SimplexMesh, outcome: Outcome, found: Heights) -> FloatArray
     """Points where vertices went out, or in where regions have gained, until these have the
     volumes of a mesh: of a region all that help, by one part of their heights.
     """
-    labels, own = np.unique(mesh.bodies(outcome.regions), return_inverse=True)
+    lacks = _lacking(mesh, outcome, outcome.points)
     region = np.zeros(len(outcome.points), dtype=np.intp)
-    region[outcome.cells] = own[:, None]
+    region[outcome.cells] = np.unique(mesh.bodies(outcome.regions), return_inverse=True)[1][:, None]
     at = region[found.vertices]
-    goal = np.bincount(np.searchsorted(labels, mesh.bodies()),
-                       signed_volumes(mesh.points, mesh.cells), len(labels))
-
-    def lacking(points: FloatArray) -> FloatArray:
-        now = np.bincount(own, signed_volumes(points, outcome.cells), len(labels))
-        return np.asarray(goal - now)
-
-    lacks = lacking(outcome.points)
     most = np.where(found.gain * lacks[at] > 0.0, found.most, 0.0)
-    gain = np.bincount(at, np.where(most > 0.0, found.gain, 0.0), len(labels))
-    points, share = outcome.points.copy(), np.zeros(len(labels))
+    gain = np.bincount(at, np.where(most > 0.0, found.gain, 0.0), len(lacks))
+    points, share = outcome.points.copy(), np.zeros(len(lacks))
     for _ in range(STEPS):
-        share += np.divide(lacks, gain, out=np.zeros(len(labels)), where=gain != 0.0)
+        share += np.divide(lacks, gain, out=np.zeros(len(lacks)), where=gain != 0.0)
         part = np.clip(share[at], 0.0, most)
         points[found.vertices] = outcome.points[found.vertices] + part[:, None] * found.way
-        lacks = lacking(points)
+        lacks = _lacking(mesh, outcome, points)
     return points
+
+
+def _lacking(mesh: SimplexMesh, outcome: Outcome, points: FloatArray) -> FloatArray:
+    """Volumes that regions lack, in order of their labels, where vertices are at ``points``."""
+    labels, own = np.unique(mesh.bodies(outcome.regions), return_inverse=True)
+    was = np.bincount(np.searchsorted(labels, mesh.bodies()),
+                      signed_volumes(mesh.points, mesh.cells), len(labels))
+    now = np.bincount(own, signed_volumes(points, outcome.cells), len(labels))
+    return np.asarray(was - now)
