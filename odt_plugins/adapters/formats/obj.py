@@ -177,53 +177,56 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
 
 
 def _with_others(found: _Lines, change: Change) -> list[bytes]:
-    """Lines with other vertices; triangles are where those are from which their data come.
+    """Lines with other vertices; faces are where those are from which their data come.
 
     Raises
     ------
-    NotRewritable    there are points or polygons, or only some triangles have texture coordinates
+    NotRewritable    there are points, or only some triangles have texture coordinates
     """
     after = change.after
-    kinds = ["triangle", "line"] if found.ends else ["triangle"]
-    if [block.type for block in after.cells] != kinds or any(
-            line.split()[:1] == [b"p"] for line in found.lines):
-        msg = "vertices came or went"
+    _, order = as_mesh(np.asarray(change.before.points), [[c[0] for c in f] for f in found.corners])
+    if any(line.split()[:1] == [b"p"] for line in found.lines):
+        msg = "vertices came or went, and it has points"
         raise NotRewritable(msg)
     texture = _texture(found, change, 0)
-    if found.texture and texture is None:
+    if texture is None and any(c[1] >= 0 for i in order[0].tolist() for c in found.corners[i]):
         msg = "vertices came or went, and some triangles have no texture coordinates"
         raise NotRewritable(msg)
-    points, cells = np.asarray(after.points), np.asarray(after.cells[0].data)
-    numbers, values = texture or (np.full(cells.shape, -1), [])
-    used, inverse = np.unique(numbers, return_inverse=True)
-    if values:
-        numbers, values = inverse.reshape(cells.shape), [values[i] for i in used.tolist()]
-    of, normals = np.full(cells.shape, -1), np.zeros((0, 3))
-    if found.normals:
-        parts, normals = _normals(points, cells.tolist(),
-                                  _of_vertices(found, len(change.before.points)) is not None)
-        of = np.array(parts)
+    sources = [rows[of].tolist() for rows, of in zip(order, change.cells, strict=False)]
+    corners = [row for block, _ in zip(after.cells, order, strict=False)
+               for row in np.asarray(block.data).tolist()]
+    numbers = [[c[1] for c in found.corners[i]] for rows in sources for i in rows]
+    values = [[float(x) for x in found.lines[i].split()[1:]] for i in found.texture]
+    if texture is not None:
+        numbers[: len(sources[0])], values = texture[0].tolist(), texture[1]
+    used = sorted({t for row in numbers for t in row if t >= 0})
+    number = {t: i for i, t in enumerate(used)} | {-1: -1}
+    points = np.asarray(after.points)
     lines = list(found.lines)
+    of: Any = [[-1] * len(row) for row in corners]
+    if found.normals:
+        of, normals = _normals(points, corners,
+                               _of_vertices(found, len(change.before.points)) is not None)
+        _listed(lines, found.normals, [_line(b"vn", row) for row in normals])
     rest = np.asarray(after.point_data.get(COLOURS, points[:, :0]))
     end = b"\r\n" if lines[found.vertices[0]].endswith(b"\r\n") else b"\n"
     _listed(lines, found.vertices, [
         b" ".join([b"v", *(repr(x).encode() for x in [*place, *more])]) + end
         for place, more in zip(points.tolist(), rest.tolist(), strict=True)])
-    if texture is not None:
-        _put_texture(lines, found, values)
-    if found.normals:
-        _listed(lines, found.normals, [_line(b"vn", row) for row in normals])
+    if used:
+        _put_texture(lines, found, [values[t] for t in used])
     faces: list[list[bytes]] = [[] for _ in found.faces]
-    for corners, source in zip(np.stack([cells, numbers, of], axis=2).tolist(),
-                               change.cells[0].tolist(), strict=True):
-        faces[source].append(_face(corners, found.lines[found.faces[source]]))
+    every = (i for rows in sources for i in rows)
+    for source, row, marks, normal in zip(every, corners, numbers, of, strict=True):
+        words = list(zip(row, (number[t] for t in marks), normal, strict=True))
+        faces[source].append(_face(words, found.lines[found.faces[source]]))
     for at, texts in zip(found.faces, faces, strict=True):
         lines[at] = b"".join(texts)
     if found.ends:
         of_pair = [at for at, ends in zip(found.wires, found.ends, strict=True) for _ in ends[1:]]
         wires: dict[int, list[bytes]] = {at: [] for at in found.wires}
-        for pair, source in zip(np.asarray(after.cells[1].data).tolist(),
-                                change.cells[1].tolist(), strict=True):
+        for pair, source in zip(np.asarray(after.cells[-1].data).tolist(),
+                                change.cells[-1].tolist(), strict=True):
             wires[of_pair[source]].append(b"l %d %d" % (pair[0] + 1, pair[1] + 1) + end)
         for at, texts in wires.items():
             lines[at] = b"".join(texts)

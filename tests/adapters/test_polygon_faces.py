@@ -1,0 +1,68 @@
+"""Quadrilaterals and polygons beside triangles: they stay, and what is filled has them."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import pytest
+import pyvista
+import trimesh
+
+import odt_plugins
+from odt_plugins.adapters.files import read_file, write_file
+from odt_plugins.errors import DataNotKeptWarning, UnsupportedMeshError
+
+SIDES = {0: 4, 1: 5}
+"""Columns of squares that are no triangles, and the corners of their faces."""
+
+
+def plate(n=8):
+    """Points of a plate and faces in its squares: quadrilaterals, pentagons, triangles."""
+    x, y = np.meshgrid(np.linspace(0, 1, n + 1), np.linspace(0, 1, n + 1), indexing="ij")
+    points = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1)
+    inner = (points[:, 0] > 2.5 / n) & (points[:, 0] < 1) & (points[:, 1] > 0) & (points[:, 1] < 1)
+    noise = np.random.default_rng(5).uniform(-0.3 / n, 0.3 / n, (int(inner.sum()), 2))
+    points[inner, :2] += noise
+    more, faces = [], []
+    for i in range(n):
+        for j in range(n):
+            a, b = i * (n + 1) + j, (i + 1) * (n + 1) + j
+            if SIDES.get(i) == 4:
+                faces.append([a, b, b + 1, a + 1])
+            elif SIDES.get(i) == 5 and j == 0:
+                more.append((points[a] + points[b]) / 2)
+                faces.append([a, len(points), b, b + 1, a + 1])
+            else:
+                faces += [[a, b, b + 1], [a, b + 1, a + 1]]
+    return np.concatenate([points, more]), faces
+
+
+@pytest.mark.parametrize("scale", [0.7, 1.3])
+def test_obj_of_other_sizes_keeps_polygons_with_groups_texture_and_normals(scale, tmp_path):
+    points, faces = plate()
+    text = ["mtllib a.mtl", *("v {!r} {!r} {!r}".format(*p) for p in points.tolist()),
+            *("vt {!r} {!r}".format(*p[:2]) for p in points.tolist()), "vn 0 0 1"]
+    for size, name in ((4, "quads"), (5, "pentagon"), (3, "triangles")):
+        text += [f"g {name}", f"usemtl {name}"]
+        text += ["f " + " ".join(f"{v + 1}/{v + 1}/1" for v in face)
+                 for face in faces if len(face) == size]
+    (tmp_path / "a.obj").write_text("\n".join(text) + "\n")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", DataNotKeptWarning)
+        write_file(tmp_path / "b.obj", odt_plugins.remesh(read_file(tmp_path / "a.obj"),
+                                                          scale=scale))
+    lines = (tmp_path / "b.obj").read_text().splitlines()
+    assert [x for x in lines if x[0] in "mgu"] == [x for x in text if x[0] in "mgu"]
+    now = [[word.split("/") for word in x.split()[1:]] for x in lines if x[:2] == "f "]
+    assert [sum(len(face) == size for face in now) for size in (4, 5)] == [8, 1]
+    assert len(now) != len(faces)
+    places = np.array([x.split()[1:] for x in lines if x[:2] == "v "], dtype=float)
+    texture = np.array([x.split()[1:] for x in lines if x[:3] == "vt "], dtype=float)
+    corners = np.array([word for face in now for word in face], dtype=int) - 1
+    np.testing.assert_allclose(texture[corners[:, 1]], places[corners[:, 0], :2], atol=1e-8)
+    assert {x for x in lines if x[:3] == "vn "} == {"vn 0 0 1"}
+    parts = trimesh.load_scene(tmp_path / "b.obj", process=False, split_object=True,
+                               group_material=True).geometry.values()
+    assert sorted(part.area for part in parts) == pytest.approx([1 / 64, 8 / 64, 55 / 64])
+    assert pyvista.read(tmp_path / "b.obj").area == pytest.approx(1.0)
