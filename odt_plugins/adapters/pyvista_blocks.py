@@ -102,4 +102,4 @@ def _dimension(block: Any) -> int:
     if is_instance(block, "pyvista", "UnstructuredGrid"):
         types = np.unique(np.asarray(block.celltypes)).tolist()
         return max((pyvista_mesh.DIMENSION.get(kind, 0) for kind in types), default=0)
-    return 2 if block.n_cells > block.n_verts + block.n_lines + block.n_strips else 0
+    return 2 if pyvista_mesh.has_triangles(block) else 0

@@ -411,30 +411,41 @@ def cell_array(size: IndexArray, flat: NDArray[Any]) -> Any:
 
 
 def _read_polydata(mesh: Any) -> tuple[IndexArray, IndexArray, tuple[KeptCells, ...]]:
-    n_faces = mesh.n_cells - mesh.n_verts - mesh.n_lines - mesh.n_strips
-    faces = np.asarray(mesh.faces)
-    triangles = faces.size == 4 * n_faces and bool((faces[::4] == 3).all())
-    if mesh.n_strips or not triangles:
-        strips = counted(mesh.n_strips, "triangle strip")
-        found = strips if mesh.n_strips else "other polygons"
+    if mesh.n_strips:
+        found = counted(mesh.n_strips, "triangle strip")
         msg = f"got PolyData with {found}; expected triangles only, try mesh.triangulate()"
         raise UnsupportedMeshError(msg)
-    if not n_faces and mesh.n_cells:
+    faces = np.asarray(mesh.faces)
+    size, start = _sizes(faces)
+    which = np.flatnonzero(size == 3)
+    if not len(which) and mesh.n_cells:
         vertices, lines = counted(mesh.n_verts, "vertex cell"), counted(mesh.n_lines, "line cell")
-        found = f"{vertices} and {lines}"
-        msg = (
-            f"got PolyData of {found}; expected triangles, try mesh.delaunay_2d() or "
-            f"mesh.delaunay_3d()"
-        )
+        others = counted(len(size), "other polygon")
+        found = f"{vertices}, {lines} and {others}" if len(size) else f"{vertices} and {lines}"
+        better = "mesh.triangulate()" if len(size) else "mesh.delaunay_2d() or mesh.delaunay_3d()"
+        msg = f"got PolyData of {found}; expected triangles, try {better}"
         raise UnsupportedMeshError(msg)
-    ids = np.arange(mesh.n_cells - n_faces, mesh.n_cells)
     kept: tuple[KeptCells, ...] = ()
     if mesh.n_lines:
         rows, parts = _segments(np.asarray(mesh.lines))
-        which = mesh.n_verts + np.arange(mesh.n_lines)
+        lines = mesh.n_verts + np.arange(mesh.n_lines)
         kept = (KeptCells("line", rows, *_known(
-            mesh, which, None if len(rows) == len(which) else parts)),)
-    return faces.reshape(-1, 4)[:, 1:].copy(), ids, kept
+            mesh, lines, None if len(rows) == len(lines) else parts)),)
+    if len(which) < len(size):
+        rest = size != 3
+        kept += (KeptCells("polygon", faces[_positions(start[rest], size[rest])][:, None]),)
+    return (faces[start[which][:, None] + np.arange(3)], mesh.n_cells - len(size) + which, kept)
+
+
+def has_triangles(mesh: Any) -> bool:
+    """Say whether some of the faces of PolyData are triangles."""
+    return 3 in _sizes(np.asarray(mesh.faces))[0]
+
+
+def _sizes(cells: IndexArray) -> tuple[IndexArray, IndexArray]:
+    """Numbers of vertices of cells stored as count, indices, ..., and where these begin."""
+    heads = np.flatnonzero(~are_vertices(cells))
+    return cells[heads].astype(np.int64), heads + 1
 
 
 def _segments(lines: IndexArray) -> tuple[IndexArray, IndexArray]:
@@ -448,11 +459,13 @@ def _segments(lines: IndexArray) -> tuple[IndexArray, IndexArray]:
 
 
 def _write_polydata(out: Any, result: Result, host: HostMesh) -> IndexArray:
-    """Set the cells of a surface, triangles behind vertices and lines; as :func:`_write_grid`."""
+    """Set the cells of a surface, faces behind vertices and lines; as :func:`_write_grid`."""
     ids, source = host.layout[0], host.source
-    beside = np.arange(ids[0])
+    faces, first = np.asarray(source.faces), source.n_verts + source.n_lines
+    beside = np.arange(first)
     if result.vertices is not None and result.vertices.renumbered:
         number = result.vertices.number
+        faces = _with_numbers(faces, number)
         if source.n_verts:
             out.verts = _with_numbers(np.asarray(source.verts), number)
         if result.faces and result.faces[0] is not None:
@@ -461,9 +474,16 @@ def _write_polydata(out: Any, result: Result, host: HostMesh) -> IndexArray:
             beside = np.append(np.arange(source.n_verts), source.n_verts + lines.source)
         elif source.n_lines:
             out.lines = _with_numbers(np.asarray(source.lines), number)
+    size, start = _sizes(faces)
+    rest = np.flatnonzero(size != 3)
     count = np.full((len(result.cells), 1), 3, dtype=result.cells.dtype)
-    out.faces = np.concatenate([count, result.cells], axis=1).ravel()
-    return np.concatenate([beside, ids[result.source]])
+    pool = np.append(np.concatenate([count, result.cells], axis=1), faces)
+    rows = np.append(ids[result.source], first + rest)
+    size = np.append(count, size[rest]) + 1
+    begin = np.append(4 * np.arange(len(count)), 4 * len(count) + start[rest] - 1)
+    order = np.argsort(rows, kind="stable")
+    out.faces = pool[_positions(begin[order], size[order])]
+    return np.concatenate([beside, rows[order]])
 
 
 def _with_numbers(cells: IndexArray, number: NDArray[np.int64]) -> IndexArray:

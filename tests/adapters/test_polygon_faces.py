@@ -66,3 +66,42 @@ def test_obj_of_other_sizes_keeps_polygons_with_groups_texture_and_normals(scale
                                group_material=True).geometry.values()
     assert sorted(part.area for part in parts) == pytest.approx([1 / 64, 8 / 64, 55 / 64])
     assert pyvista.read(tmp_path / "b.obj").area == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("run", [odt_plugins.optimize, odt_plugins.remesh])
+@pytest.mark.parametrize("bent", [False, True])
+@pytest.mark.parametrize("plain", [False, True])
+def test_polydata_keep_polygons_between_triangles(run, bent, plain):
+    points, faces = plate()
+    points[:, 2] = np.sqrt(4.0 - points[:, 0] ** 2) if bent else 0.0
+    given = pyvista.PolyData(points, np.concatenate([[len(face), *face] for face in faces]))
+    given.verts, given.lines = [1, 0], [2, 0, 1]
+    given.cell_data["source"] = np.arange(given.n_cells) * 0.5
+    given.cell_data["corners"] = [1, 2, *map(len, faces)]
+    if plain:
+        vtk = pytest.importorskip("vtkmodules.vtkCommonDataModel")
+        data = vtk.vtkPolyData()
+        data.DeepCopy(given)
+    made = run(data if plain else given, **({} if run is odt_plugins.optimize else {"scale": 0.7}))
+    assert type(made) is (type(data) if plain else pyvista.PolyData)
+    made = pyvista.wrap(made)
+    cells = [made.get_cell(i).point_ids for i in range(made.n_cells)]
+    assert made.cell_data["corners"].tolist() == [len(cell) for cell in cells]
+    for i, face in enumerate(faces):
+        if len(face) > 3:
+            at = int(np.flatnonzero(made.cell_data["source"] == 0.5 * (i + 2))[0])
+            assert np.array_equal(made.points[cells[at]], points[face])
+    rim = made.extract_feature_edges(feature_edges=False, manifold_edges=False)
+    middle = rim.cell_centers().points
+    assert (np.isclose(middle[:, :2], 0.0) | np.isclose(middle[:, :2], 1.0)).any(axis=1).all()
+    assert made.area == pytest.approx(given.area, rel=1e-3)
+
+
+def test_blocks_of_other_polygons_come_back_and_alone_are_named():
+    points, faces = plate()
+    plain = pyvista.PolyData(points, np.concatenate([[len(face), *face] for face in faces]))
+    made = odt_plugins.optimize(pyvista.MultiBlock({"plate": plain, "cube": pyvista.Cube()}))
+    assert made["cube"] == pyvista.Cube()
+    assert made["plate"] != plain
+    with pytest.raises(UnsupportedMeshError, match=r"6 other polygons; .*try mesh.triangulate"):
+        odt_plugins.optimize(pyvista.Cube())
