@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from odt_plugins import tetwild
 from odt_plugins.adapters import files, meshio_mesh
+from odt_plugins.adapters.registry import find_adapter
 from odt_plugins.engine.cells.geometry import boundary_facets
 from odt_plugins.engine.ground.reference import make_reference
 from odt_plugins.errors import (
@@ -37,6 +38,9 @@ if TYPE_CHECKING:
     from odt_plugins.adapters.host import HostMesh
     from odt_plugins.generate.levels_report import LevelsReport
     from odt_plugins.report.report import Report
+
+FLAT = ("triangle", "quad", "polygon")
+"""Types of the cells of a surface that is filled."""
 
 SIZED_PART = 0.5
 """Part of the envelope for TetWild where sizes follow, which have the rest."""
@@ -219,7 +223,8 @@ def fill(
     bodies: bool = False, sizes: Mapping[str, Any] = NO_SIZES,
 ) -> tuple[Any, Report | LevelsReport, float]:
     """Give the mesh of :func:`tetrahedralize` of a file, its report, and TetWild's seconds."""
-    host = files.read(source)
+    found = _of_triangles(files.read_file(source))
+    host: HostMesh = find_adapter(found).read(found)
     if host.cells.shape[1] != 3 or host.points.shape[1] != 3:
         what = "tetrahedra" if host.cells.shape[1] == 4 else "triangles in the plane"
         msg = (f"{os.path.basename(source)} holds {what}; expected a surface of triangles to be "
@@ -272,6 +277,33 @@ def fill(
         mesh.cell_data[BODY] = [label] + [np.zeros(len(block.data), dtype=np.int32)
                                           for block in mesh.cells[1:]]
     return mesh, replace(report, filled=filled), seconds
+
+
+def _of_triangles(mesh: Any) -> Any:
+    """A surface with quadrilaterals and polygons as fans of triangles, which have their data."""
+    from meshio import Mesh
+
+    kinds = {block.type for block in getattr(mesh, "cells", ()) if len(block.data)}
+    flat = [i for i, block in enumerate(getattr(mesh, "cells", ())) if block.type in FLAT]
+    if not kinds & {*FLAT[1:]} or not kinds <= {*FLAT, "line", "vertex"}:
+        return mesh
+    rows, origin, count = [], [], 0
+    for i in flat:
+        cells = np.asarray(mesh.cells[i].data)
+        fans = np.arange(cells.shape[1] - 2)
+        corners = np.stack([np.zeros_like(fans), fans + 1, fans + 2], axis=1)
+        rows.append(cells[:, corners].reshape(-1, 3))
+        origin.append(count + np.repeat(np.arange(len(cells)), len(fans)))
+        count += len(cells)
+    of = np.concatenate(origin)
+    data: dict[str, Any] = {
+        name: [np.concatenate([np.asarray(values[i]) for i in flat])[of]]
+        for name, values in mesh.cell_data.items()}
+    sets: dict[str, Any] = {
+        name: [np.flatnonzero(_members(parts, mesh, flat)[of])]
+        for name, parts in mesh.cell_sets.items() if name not in meshio_mesh.NOT_CELL_INDICES}
+    return Mesh(mesh.points, [("triangle", np.concatenate(rows))], mesh.point_data, data,
+                mesh.field_data, cell_sets=sets)
 
 
 def closest_faces(

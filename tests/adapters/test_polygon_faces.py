@@ -105,3 +105,24 @@ def test_blocks_of_other_polygons_come_back_and_alone_are_named():
     assert made["plate"] != plain
     with pytest.raises(UnsupportedMeshError, match=r"6 other polygons; .*try mesh.triangulate"):
         odt_plugins.optimize(pyvista.Cube())
+
+
+@pytest.mark.parametrize("left", [0.0, 2.0])
+def test_polygons_of_a_surface_are_filled_and_their_names_are_on_the_boundary(left, tmp_path):
+    pytest.importorskip("pytetwild")
+    box = pyvista.Box((0, 1, 0, 1, 0, 1), level=2, quads=True).clean()
+    faces = box.faces.reshape(-1, 5)[:, 1:]
+    whole = box.points[faces].mean(axis=1)[:, 0] > 0.99 - left
+    text = ["v {} {} {}".format(*p) for p in box.points.tolist()] + ["g whole"]
+    text += ["f {} {} {} {}".format(*face) for face in faces[whole] + 1] + ["g halves"]
+    text += ["f {} {} {}\nf {} {} {}".format(*face[[0, 1, 2, 0, 2, 3]])
+             for face in faces[~whole] + 1]
+    (tmp_path / "a.obj").write_text("\n".join(text) + "\n")
+    made = odt_plugins.tetrahedralize(tmp_path / "a.obj", edge_length=0.3)
+    p = made.points[made.cells_dict["tetra"]]
+    volume = np.abs(np.linalg.det(p[:, 1:] - p[:, :1])).sum() / 6
+    assert volume == pytest.approx(1.0, abs=0.01)
+    if not left:
+        p = made.points[made.cells_dict["triangle"][made.cell_sets["whole"][1]]]
+        area = np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1).sum() / 2
+        assert area == pytest.approx(1.0, abs=0.02)
