@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from odt_plugins.adapters.fields import numbers
 from odt_plugins.adapters.host import Adapter, HostMesh, NewFaces, NewVertices
+from odt_plugins.adapters.point_sets import depths
 from odt_plugins.carry import in_order_of, surrounding_cells
 from odt_plugins.conserve import After, conserved
 from odt_plugins.errors import TangledMeshError, UnsupportedMeshError
@@ -178,7 +179,9 @@ def new_vertices(
         near = np.where(origin < 0, beside, near)
     cell, weights = around(written[placed].astype(np.float64), near[placed])
     number = new_numbers(origin, n)[:n].astype(np.int64)
-    return NewVertices(origin, number, np.flatnonzero(placed), before.cells[cell], weights)
+    now = depths(outcome.cells, outcome.regions, len(written))
+    return NewVertices(origin, number, np.flatnonzero(placed), before.cells[cell], weights,
+                       depths=(depths(before.cells, before.regions, n), now[placed]))
 
 
 def new_faces(

@@ -23,6 +23,7 @@ from odt_plugins.adapters.host import (
     Result,
     as_indices,
 )
+from odt_plugins.adapters.point_sets import depths
 from odt_plugins.errors import UnsupportedMeshError
 from odt_plugins.mesh.bernstein import jacobian_bounds
 from odt_plugins.mesh.facets import row_keys
@@ -170,7 +171,10 @@ def elevated(
     if curved is not None:
         which, weights = _in_curved(host, x, which, weights, locate)
     followed = NewVertices(origin, number, placed, nodes[which].astype(np.int32),
-                           shape_values(shape, weights))
+                           shape_values(shape, weights), depths=(
+        depths(nodes, host.regions, len(host.points), shape),
+        depths(cells, None if host.regions is None else host.regions[result.source], len(out),
+               shape)[placed]))
     number_of = dict(zip(map(tuple, ends.tolist()), at.tolist(), strict=True))
     faces = tuple(faces and NewFaces(_with_middles(faces.rows, index, number_of), faces.source)
                   for faces in result.faces)

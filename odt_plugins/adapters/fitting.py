@@ -13,6 +13,7 @@ from odt_plugins.adapters.formats.med_families import with_families
 from odt_plugins.adapters.formats.medit_solution import is_solution
 from odt_plugins.adapters.gmsh_files import is_group
 from odt_plugins.adapters.higher_order import HIGHER, LAGRANGE, lattice, order_of
+from odt_plugins.adapters.host import POINT_LABELS
 from odt_plugins.adapters.regions import REGION_ARRAYS
 from odt_plugins.errors import UnsupportedMeshError
 
@@ -79,9 +80,6 @@ FORMS = {
 
 LABELLED = ("exodus", "med")
 """Formats with a label of cells that hold other arrays of cells beside it."""
-
-POINT_LABELS = ("medit:ref", "tetgen:ref", "point_tags")
-"""Labels of points that formats hold beside their labels of cells."""
 
 MAIN = ("tetra", "triangle")
 

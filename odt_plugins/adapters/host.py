@@ -23,6 +23,9 @@ SET_VERTEX, NAMED_VERTEX = "vertex of point set", "vertex named by its file"
 CELL_VERTEX = "vertex alone in a cell"
 """Kind of kept cells of a vertex each: those that make up no cells or facets are places."""
 
+POINT_LABELS = ("medit:ref", "tetgen:ref", "point_tags")
+"""Labels of points that formats hold beside their labels of cells; 0 is none."""
+
 SPLINE_VERTEX = "vertex on a spline"
 """Kind of kept cells of a vertex each, of a mesh of Netgen in the plane."""
 
@@ -207,6 +210,8 @@ class NewVertices(NamedTuple):
     corners : (k, d + 1) int32  input vertices around each of them
     weights : (k, d + 1)        with these barycentric coordinates, of sum 1
     conserved : dict of (n', ...)   fields whose integrals stay, by their names
+    depths : (n,) int, (k,) int     of input vertices, and of vertices `placed`: 0 on the boundary,
+                                    1 on an interface, 2 inside; None where that is not known
     """
 
     origin: NDArray[np.int64]
@@ -215,6 +220,7 @@ class NewVertices(NamedTuple):
     corners: NDArray[np.int32]
     weights: NDArray[np.float64]
     conserved: Mapping[str, NDArray[Any]] = MappingProxyType({})
+    depths: tuple[NDArray[np.int8], NDArray[np.int8]] | None = None
 
     @property
     def renumbered(self) -> bool:
@@ -228,7 +234,8 @@ class NewVertices(NamedTuple):
 
         A vertex that is still there keeps its value, unless it moved and the values are those of a
         `field`. For one that was added, floating-point numbers and colours are interpolated
-        linearly, of anything else the value of the nearest corner is taken. Those whose integrals
+        linearly, of anything else the value of the nearest corner is taken, or off the boundary the
+        value that all vertices there had, as where markers tell the boundary. Those whose integrals
         stay are there already.
         """
         if name in self.conserved:
@@ -242,6 +249,13 @@ class NewVertices(NamedTuple):
         else:
             nearest = self.weights.argmax(axis=1)
             out[self.placed[added]] = at_corners[np.arange(len(nearest)), nearest][added]
+            was, now = self.depths or (np.zeros(len(values)), np.zeros(len(added)))
+            for depth in (1, 2):
+                own, here = values[was == depth], self.placed[added & (now == depth)]
+                if len(own) and (own == own[:1]).all():
+                    out[here] = own[0]
+                elif not len(own) and depth > 1 and name in POINT_LABELS:
+                    out[here] = 0
         return out
 
 

@@ -218,6 +218,18 @@ def _keys(
     return row_keys(np.sort(facets[:, :corners], axis=1), n)
 
 
+def depths(
+    cells: NDArray[np.integer], labels: NDArray[np.integer] | None, n: int,
+    shape: NDArray[np.int64] | None = None,
+) -> NDArray[np.int8]:
+    """0 for those of n points that are on the boundary of cells, 1 on interfaces, 2 for others."""
+    out = np.full(n, 2, dtype=np.int8)
+    if labels is not None:
+        out[walls_of(cells, labels, n, shape)] = 1
+    out[walls_of(cells, None, n, shape)] = 0
+    return out
+
+
 def walls_of(
     cells: NDArray[np.integer], labels: NDArray[np.integer] | None, n: int,
     shape: NDArray[np.int64] | None = None,

@@ -1,0 +1,45 @@
+"""Whole numbers of points that tell the boundary: vertices that come inside have none."""
+
+from __future__ import annotations
+
+import meshio
+import numpy as np
+import pytest
+import pyvista
+from boxes import box, quadratic
+
+from odt_plugins import remesh
+
+
+def on_rim(points):
+    return (np.isclose(points, 0.0) | np.isclose(points, 1.0)).any(axis=1)
+
+
+@pytest.mark.parametrize("kind", ["grid", "linear", "quadratic", "plane"])
+def test_new_vertices_inside_have_no_marker_of_the_boundary(kind):
+    dim = 2 if kind == "plane" else 3
+    points, cells = box(dim, 6 if dim == 2 else 4)
+    name = {4: "tetra", 3: "triangle", 10: "tetra10"}
+    if kind == "quadratic":
+        points, cells = quadratic(points, cells)
+    marks = {"bc": on_rim(points) * 7, "where": np.where(on_rim(points), "rim", "inside")}
+    if kind == "grid":
+        mesh = pyvista.UnstructuredGrid({10: cells}, points)
+        mesh.point_data.update(marks)
+    else:
+        mesh = meshio.Mesh(points, [(name[cells.shape[1]], cells)], point_data=marks)
+    made = remesh(mesh, scale=0.6)
+    assert len(made.points) > 1.3 * len(points)
+    rim = on_rim(np.asarray(made.points))
+    assert np.array_equal(made.point_data["bc"], rim * 7)
+    assert np.array_equal(made.point_data["where"], np.where(rim, "rim", "inside"))
+
+
+def test_without_vertices_inside_only_markers_of_formats_are_none():
+    points, cells = box(3, 1)
+    marks = {"tetgen:ref": np.full(len(points), 3), "other": np.full(len(points), 3)}
+    made = remesh(meshio.Mesh(points, [("tetra", cells)], point_data=marks), scale=0.4)
+    rim = on_rim(made.points)
+    assert not rim.all()
+    assert np.array_equal(made.point_data["tetgen:ref"], rim * 3)
+    assert set(made.point_data["other"]) == {3}
