@@ -25,7 +25,14 @@ from odt_plugins.adapters import (
 )
 from odt_plugins.adapters.comparing import not_kept, other_types
 from odt_plugins.adapters.fitting import FORMS, fitted
-from odt_plugins.adapters.formats import READERS, REWRITERS, WRITERS, gmsh_groups, gmsh_tables
+from odt_plugins.adapters.formats import (
+    COMPANIONS,
+    READERS,
+    REWRITERS,
+    WRITERS,
+    gmsh_groups,
+    gmsh_tables,
+)
 from odt_plugins.adapters.formats.change import Change, NotRewritable, Origin, origin_of
 from odt_plugins.adapters.formats.decks import DECK, UNREAD
 from odt_plugins.adapters.formats.readers import readable
@@ -238,6 +245,9 @@ def write_file(
                     beside / path.name, recoloured(mesh, name), name, binary)
                 remarks += more
                 lost += mesh.info.get(UNREAD, []) if isinstance(mesh.info, dict) else []
+            for suffix in COMPANIONS.get(name, ()):
+                if not (beside / path.name).with_suffix(suffix).exists():
+                    path.with_suffix(suffix).unlink(missing_ok=True)
             # Formats such as xdmf write companions; the file that refers to them comes last.
             for part in sorted(beside.iterdir(), key=lambda part: part.name == path.name):
                 os.replace(part, path.parent / part.name)

@@ -69,7 +69,7 @@ FORMS = {
     "stl": Form(points=False, beside=False, blocks=True, sets=True, text=True),
     "su2": Form("su2:tag", points=False, cells=False, vertices=False),
     "tecplot": Form(beside=False),
-    "tetgen": Form("tetgen:ref", points=False, cells=False, beside=False),
+    "tetgen": Form("tetgen:ref", points=False, cells=False, vertices=False),
     "ugrid": Form("ugrid:ref", points=False, cells=False, vertices=False, lines=False),
     "vtk": EVERYTHING,
     "vtp": EVERYTHING,
