@@ -31,6 +31,7 @@ class Form(NamedTuple):
     text : bool            whether it is written as text or binary, as asked
     vertices : bool        whether it holds vertices as cells
     lines : bool           whether it holds lines as cells
+    bent : bool            whether it holds lines with a node between their ends
     """
 
     label: str | None = None
@@ -42,12 +43,14 @@ class Form(NamedTuple):
     text: bool = False
     vertices: bool = True
     lines: bool = True
+    bent: bool = True
 
 
 EVERYTHING = Form(sets=True, text=True)
 
 FORMS = {
-    "abaqus": Form(points=False, cells=False, blocks=True, sets=True, vertices=False),
+    "abaqus": Form(points=False, cells=False, blocks=True, sets=True, vertices=False,
+                   bent=False),
     "avsucd": Form("avsucd:material", cells=False),
     "cgns": Form(points=False, cells=False, beside=False),
     "dolfin-xml": Form(points=False, beside=False),
@@ -57,10 +60,10 @@ FORMS = {
     "gmsh22": Form(blocks=True, text=True),
     "h5m": Form(cells=False),
     "hmf": Form(),
-    "mdpa": Form(),
+    "mdpa": Form(bent=False),
     "med": Form("cell_tags", sets=True),
     "medit": Form("medit:ref", points=False, cells=False, vertices=False),
-    "nastran": Form("nastran:ref", points=False, cells=False),
+    "nastran": Form("nastran:ref", points=False, cells=False, bent=False),
     "netgen": Form("netgen:index", points=False, cells=False),
     "obj": Form(beside=False, blocks=True),
     "off": Form(beside=False, blocks=True),
@@ -89,8 +92,8 @@ WIDTHS = (1, 3, 9)
 NETGEN = "netgen:index"
 """Labels of cells of Netgen's files, which have the names of materials."""
 
-TETRAHEDRA = ("cgns", "flac3d", "tetgen")
-"""Formats in which meshio writes cells in space only."""
+TETRAHEDRA = {"cgns": ("tetra",), "flac3d": ("tetra",), "tetgen": ("tetra", "tetra10")}
+"""Formats of cells in space only, and which of these they hold."""
 
 
 def fitted(mesh: Any, name: str) -> tuple[Any, list[str]]:
@@ -117,7 +120,7 @@ def fitted(mesh: Any, name: str) -> tuple[Any, list[str]]:
     lost = []
     out.point_data = {key: _column(values) for key, values in out.point_data.items()}
     out.cell_data = {key: [*map(_column, values)] for key, values in out.cell_data.items()}
-    if name in TETRAHEDRA and not any(block.type == "tetra" for block in out.cells):
+    if name in TETRAHEDRA and not any(block.type in TETRAHEDRA[name] for block in out.cells):
         msg = f"it holds no cells of type {', '.join(sorted({b.type for b in out.cells}))}"
         raise UnsupportedMeshError(msg)
     if not form.beside:
@@ -126,7 +129,7 @@ def fitted(mesh: Any, name: str) -> tuple[Any, list[str]]:
         lost = [f"{sum(len(b.data) for b in out.cells if b.type == kind)} cells of type {kind}"
                 for kind in sorted(kinds)]
         _choose(out, [i for i, b in enumerate(out.cells) if main in (None, b.type)])
-    for kind, held in (("vertex", form.vertices), ("line", form.lines)):
+    for kind, held in (("vertex", form.vertices), ("line", form.lines), ("line3", form.bent)):
         count = sum(len(b.data) for b in out.cells if b.type == kind)
         if count and not held:
             lost.append(f"{count} cells of type {kind}")

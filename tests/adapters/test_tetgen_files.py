@@ -167,3 +167,14 @@ def test_faces_without_a_label_get_a_marker_and_a_word(tmp_path):
     with pytest.warns(DataNotKeptWarning, match="values of cell data 'tetgen:ref' of triangle"):
         write_file(tmp_path / "a.ele", plain)
     assert set(read_file(tmp_path / "a.ele").cell_data["tetgen:ref"][1]) == {-1, 1}
+
+
+@pytest.mark.parametrize("suffix", [".inp", ".bdf", ".mdpa", ".vol"])
+def test_lines_of_second_order_are_written_or_counted(suffix, tmp_path):
+    store(tmp_path / "a.ele", second=True, dim=2)
+    with pytest.warns(DataNotKeptWarning) as told:
+        write_file(tmp_path / f"b{suffix}", read_file(tmp_path / "a.ele"))
+    back = read_file(tmp_path / f"b{suffix}")
+    assert len(back.cells_dict["triangle6"]) == 32
+    counted = "16 cells of type line3" in str(told[0].message)
+    assert counted == ("line3" not in back.cells_dict) == (suffix != ".vol")

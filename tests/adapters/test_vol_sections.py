@@ -252,3 +252,41 @@ def test_wedges_follow_their_points(tmp_path):
     wedge = [part.points[block.data] for part in (source, read_file(tmp_path / "b.vol"))
              for block in part.cells if block.type == "wedge"]
     assert np.array_equal(*wedge)
+
+
+def a_core():
+    """A ball in a cube."""
+    from netgen.csg import CSGeometry, OrthoBrick, Pnt, Sphere
+
+    geometry, ball = CSGeometry(), Sphere(Pnt(0.5, 0.5, 0.5), 0.3)
+    geometry.Add((OrthoBrick(Pnt(0, 0, 0), Pnt(1, 1, 1)) - ball).mat("air"))
+    geometry.Add(ball.mat("ball"))
+    return geometry.GenerateMesh(maxh=0.3)
+
+
+@pytest.mark.parametrize("scale", [0.7, 1.4])
+@pytest.mark.parametrize("made", [a_core, a_ring])
+def test_segments_of_second_order_are_edges_of_the_resized_mesh(made, scale, tmp_path):
+    mesh = made()
+    mesh.SecondOrder()
+    mesh.Save(str(tmp_path / "a.vol"))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", DataNotKeptWarning)
+        write_file(tmp_path / "b.vol", remesh(read_file(tmp_path / "a.vol"), scale=scale,
+                                              free="periodic"))
+    lengths = []
+    for path in (tmp_path / "a.vol", tmp_path / "b.vol"):
+        mesh = loaded(path)
+        points = np.array(mesh.Coordinates())
+        rows = [[v.nr - 1 for v in cell.vertices] for cell in mesh.Elements2D()]
+        edges = {frozenset(pair) for row in rows for pair in zip(row, row[1:] + row[:1],
+                                                                 strict=True)}
+        ends = [[v.nr - 1 for v in cell.vertices] for cell in mesh.Elements1D()]
+        ends = [pair for pair in ends if pair[0] != pair[1]]
+        assert all(frozenset(pair) in edges for pair in ends)
+        length = {}
+        for (a, b), cell in zip(ends, mesh.Elements1D(), strict=False):
+            length[cell.index] = length.get(cell.index, 0) + np.linalg.norm(points[a] - points[b])
+        lengths.append([len(ends), length])
+    assert (lengths[1][0] > lengths[0][0]) == (scale < 1)
+    assert sum(lengths[1][1].values()) == pytest.approx(sum(lengths[0][1].values()), rel=0.02)

@@ -56,6 +56,13 @@ INDEX = "netgen:index"
 LINEAR = ("vertex", "line", "triangle", "quad", "tetra")
 """Cells beside which lines are read."""
 
+LINES = ("line", "line3")
+"""Types of the cells that segments are."""
+
+MIDDLES = {"triangle6": [[0, 1, 3], [1, 2, 4], [2, 0, 5]],
+           "tetra10": [[0, 1, 4], [1, 2, 5], [2, 0, 6], [0, 3, 7], [1, 3, 8], [2, 3, 9]]}
+"""Ends and nodes of the edges of cells of second order, beside which lines are read, too."""
+
 UNNAMED = "default"
 """Name of what has none."""
 
@@ -112,7 +119,10 @@ def write(path: Path, mesh: Any, binary: bool | None) -> list[str]:
     """Write a mesh by meshio, with the names that it has, and the domains beside triangles."""
     import meshio
 
-    meshio.write(path, mesh, file_format="netgen")
+    cells: Any = [("line", block.data[:, :2]) if block.type in LINES else block
+                  for block in mesh.cells]
+    meshio.write(path, meshio.Mesh(mesh.points, cells, cell_data=mesh.cell_data,
+                                   field_data=mesh.field_data), file_format="netgen")
     data, end, rest = content(path).rpartition(b"endmesh")
     for name in NAMES:
         data = re.sub(rb"\n" + name + rb"\n\d+\n(?:\d+[^\n]*\n)*", b"", data)
@@ -179,13 +189,13 @@ def completed(path: Path, mesh: Any) -> Any:
     Parameters
     ----------
     path : path
-    mesh : meshio.Mesh    as it was read; one of higher order gets no segments, which are not curved
+    mesh : meshio.Mesh    as it was read; segments have the nodes of the edges that they are
     """
     data = content(path)
     mesh.identified, mesh.field_data = identified(data), names(data)
     mesh = _with_lines(data, mesh)
     text, _, more = data.partition(b"endmesh")
-    lines = any(block.type == "line" for block in mesh.cells)
+    lines = any(block.type in LINES for block in mesh.cells)
     known = KNOWN + SEGMENTED * lines
     mesh.info = unread("the sections", [
         *({name.decode() for name in _sections(text) if not re.fullmatch(known, name)}),
@@ -205,18 +215,36 @@ def _with_lines(data: bytes, mesh: Any) -> Any:
     named = table(data, rb"pointelements", KEPT[rb"pointelements"][0]).rows
     setattr(mesh, HELD, np.unique([int(row.words[0]) - 1 for row in named]).astype(np.int64))
     found, label = segments(data)
-    if not found.rows or any(block.type not in LINEAR for block in mesh.cells):
+    nodes = _with_middles(np.array([row.points() for row in found.rows], dtype=np.int64), mesh)
+    if nodes is None:
         return mesh
-    nodes = np.array([row.points() for row in found.rows], dtype=np.int64)
-    other = [i for i, block in enumerate(mesh.cells) if block.type != "line"]
+    other = [i for i, block in enumerate(mesh.cells) if block.type not in LINES]
     parts = lines_of(found.rows, label)
-    cells = [mesh.cells[i] for i in other] + [("line", nodes[own]) for own in parts]
+    kind = LINES[nodes.shape[1] - 2]
+    cells = [mesh.cells[i] for i in other] + [(kind, nodes[own]) for own in parts]
     of = {name: [values[i] for i in other] for name, values in mesh.cell_data.items()}
     of = {INDEX: of.get(INDEX, []) + [label[own] for own in parts]} if of else {}
     out = meshio.Mesh(mesh.points, cells, mesh.point_data, of, mesh.field_data)
     vars(out).update({name: value for name, value in vars(mesh).items() if name not in vars(out)})
     setattr(out, HELD, getattr(mesh, HELD))
     return out
+
+
+def _with_middles(ends: NDArray[np.int64], mesh: Any) -> NDArray[np.int64] | None:
+    """Nodes (q, 2), or (q, 3) of second order, of segments; None where some are no edges."""
+    kinds = {block.type for block in mesh.cells} - {*LINEAR}
+    if not len(ends) or not kinds <= {*MIDDLES}:
+        return None
+    if not kinds:
+        return ends
+    edges = np.concatenate([np.asarray(block.data)[:, MIDDLES[block.type]].reshape(-1, 3)
+                            for block in mesh.cells if block.type in MIDDLES])
+    key = row_keys(np.sort(np.concatenate([ends, edges[:, :2]]), axis=1), len(mesh.points))
+    known, first = np.unique(key[len(ends):], return_index=True)
+    if not np.isin(key[: len(ends)], known).all():
+        return None
+    middle = edges[first[np.searchsorted(known, key[: len(ends)])], 2]
+    return np.column_stack([ends, middle])
 
 
 def rewrite(source: Path, target: Path, change: Change) -> list[str]:
@@ -228,10 +256,10 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
     """
     data = content(source)
     before, curved = change.before.cells, False
-    lines = [i for i, block in enumerate(before) if block.type == "line"]
+    lines = [i for i, block in enumerate(before) if block.type in LINES]
     found, label = segments(data)
     if change.renumbered:
-        other = {block.type for block in before} - {*NODES, "line", "vertex"}
+        other = {block.type for block in before} - {*NODES, *LINES, "vertex"}
         if other:
             msg = f"points came or went, to which its cells of type {min(other)} may refer"
             raise NotRewritable(msg)
@@ -313,7 +341,7 @@ def _placed(data: bytes, change: Change) -> list[Edit]:
             edits += [(*found_rows.number, b"0"), (found_rows.rows[0].start, found_rows.stop, b"")]
             continue
         stay += [(name.decode(), row, range(named)) for row in found_rows.rows]
-    if not any(block.type == "line" for block in change.before.cells):
+    if not any(block.type in LINES for block in change.before.cells):
         stay += [("edgesegments", row, row.nodes) for row in segments(data)[0].rows]
     for section_name, row, of in stay:
         new = number[[int(row.words[k]) - 1 for k in of]] + 1
@@ -334,7 +362,7 @@ def _correspond(change: Change) -> bool:
     if still.sum() < held.sum():
         return False
     for i, block in enumerate(before.cells):
-        if block.type == kind and INDEX in before.cell_data:
+        if block.type.startswith(kind) and INDEX in before.cell_data:
             label = np.asarray(before.cell_data[INDEX][i])
             loose = label[~held[block.data].all(axis=1)]
             whole = ~np.isin(label[change.cells[i]], loose)
