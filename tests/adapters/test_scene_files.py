@@ -129,3 +129,50 @@ def test_commands_say_what_to_do_with_a_file_whose_geometries_touch(words, tmp_p
     said = capsys.readouterr().err
     assert "expected --boundary fixed, try an INPUT whose geometries are joined to one" in said
     assert not (tmp_path / "b.glb").exists()
+
+
+def held_json(path):
+    data = path.read_bytes()
+    return json.loads(data[20: 20 + int.from_bytes(data[12:16], "little")])
+
+
+def test_a_mesh_of_several_primitives_stays_one_wherever_it_is_shown(scene, tmp_path):
+    """Of two nodes that show the first mesh, one has a child of its own beside."""
+    def change(tree):
+        ball, painted = tree["meshes"]
+        ball["primitives"] += painted["primitives"]
+        tree["nodes"].append({"name": "below", "mesh": 1, "translation": [9, 0, 0]})
+        own = next(node for node in tree["nodes"] if node.get("name") == "again")
+        own.setdefault("children", []).append(len(tree["nodes"]) - 1)
+
+    changed_json(scene, change)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        optimize_file(scene, tmp_path / "b.glb")
+    was, now = held_json(scene), held_json(tmp_path / "b.glb")
+    for tree in (was, now):
+        tree["names"] = sorted(node["name"] for node in tree["nodes"])
+        tree["shown"] = {node["name"]: tree["meshes"][node["mesh"]]["name"]
+                         for node in tree["nodes"] if "mesh" in node}
+        tree["parts"] = [(mesh["name"], len(mesh["primitives"])) for mesh in tree["meshes"]]
+    assert {key: now[key] for key in ("names", "shown", "parts")} == {
+        key: was[key] for key in ("names", "shown", "parts")}
+    one, two = (trimesh.load_scene(path, process=False) for path in (scene, tmp_path / "b.glb"))
+    assert two.bounds == pytest.approx(one.bounds, abs=0.05)
+    assert len(one.graph.nodes_geometry) == len(two.graph.nodes_geometry) == 6
+
+
+def test_what_one_mesh_loses_is_named_where_another_keeps_it(scene, tmp_path):
+    def change(tree):
+        ball, painted = (mesh["primitives"][0]["attributes"] for mesh in tree["meshes"])
+        ball["COLOR_0"] = ball["POSITION"]
+        painted["COLOR_0"] = painted["POSITION"]
+        tree["asset"]["copyright"] = "me"
+        tree["samplers"] = [{"magFilter": 9729}, {"wrapS": 33071}]
+        tree["materials"][0]["normalTexture"] = {"index": 0, "scale": 0.5}
+
+    changed_json(scene, change)
+    message = ("does not keep the copyright of the file, sampler 1, scale of normalTexture of "
+               "material 'paint', vertex attribute COLOR_0 of 1 primitive$")
+    with pytest.warns(DataNotKeptWarning, match=message):
+        optimize_file(scene, tmp_path / "b.glb")
