@@ -239,7 +239,7 @@ def walls_of(
     Of cells (m, k) of higher order `shape` (k, d + 1) are the weights of the nodes.
     """
     facets = _facets(cells, shape)
-    own = np.zeros(len(cells), dtype=np.int64) if labels is None else labels
+    own = np.zeros(len(cells), dtype=np.int64) if labels is None else labels.ravel()
     _, first, inverse, count = np.unique(
         _keys(facets, n, shape), return_index=True, return_inverse=True, return_counts=True)
     inverse = inverse.ravel()

@@ -200,3 +200,19 @@ def test_vertices_of_cells_move_where_all_have_such_a_cell():
     after = optimize(mesh)
     assert (after.points != points).any()
     np.testing.assert_array_equal(after.cells[1].data, mesh.cells[1].data)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_labels_in_a_column_beside_sets(order):
+    """XDMF files of FEniCS have arrays of one column."""
+    points, cells = boxes.box(3, 4)
+    label = (points[cells].mean(axis=1)[:, :1] > 0.5).astype(np.int32)
+    if order == 2:
+        points, cells = boxes.quadratic(points, cells)
+    mesh = meshio.Mesh(points, [("tetra" if order == 1 else "tetra10", cells)],
+                       cell_data={"material": [label]},
+                       point_sets={"low": np.flatnonzero(points[:, 2] == 0)})
+    out = remesh(mesh, scale=0.7)
+    assert out.cell_data["material"][0].shape == (len(out.cells[0].data), 1)
+    assert np.array_equal(np.sort(out.point_sets["low"]),
+                          np.flatnonzero(np.abs(out.points[:, 2]) < 1e-3))
