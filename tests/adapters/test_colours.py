@@ -185,3 +185,26 @@ def test_colours_of_open3d_stay_colours_where_integrals_are_kept():
     assert is_paint("triangle.colors", colours)
     assert not is_paint("velocity", colours)
     assert not is_paint("colour", colours[:, 0])
+
+
+@pytest.mark.parametrize("scale", [None, 0.7])
+def test_colours_of_bytes_behind_normals_of_off_stay_bytes(ball, scale, tmp_path):
+    points, cells = ball
+    lines = ["CNOFF", f"{len(points)} {len(cells)} 0"]
+    lines += [" ".join(map(str, [*p, *n, *c])) for p, n, c in zip(
+        points.tolist(), points.tolist(), in_bytes(points).tolist(), strict=True)]
+    lines += ["3 {} {} {}".format(*c) for c in cells.tolist()]
+    (tmp_path / "a.off").write_text("\n".join(lines) + "\n")
+    mesh = read_file(tmp_path / "a.off")
+    assert off_by(mesh.points, mesh.point_data["off:colour"]) <= 0.5
+    made = odt_plugins.optimize(mesh) if scale is None else odt_plugins.remesh(mesh, scale=scale)
+    write_file(tmp_path / "b.off", made)
+    back = read_file(tmp_path / "b.off")
+    assert back.point_data["off:colour"].dtype == np.uint8
+    words = (tmp_path / "b.off").read_text().split("\n")[2].split()
+    assert {*words[6:]} <= {*map(str, range(256))}
+    if scale is not None:
+        assert off_by(back.points, back.point_data["off:colour"]) <= 1
+    meshes = pymeshlab.MeshSet()
+    meshes.load_new_mesh(str(tmp_path / "b.off"))
+    assert meshes.current_mesh().vertex_number() == len(back.points)

@@ -58,13 +58,14 @@ def read(path: Path) -> Any:
         msg = "it ends within a face"
         raise MeshFileError(msg)
     mesh, order = as_mesh(points.reshape(-1, 3), faces)
-    behind = _table([w[3:] for w in words])
-    if behind is not None and found.normals is None:
+    first = 3
+    if found.normals is not None:
+        first = found.normals + 3
+        normals = np.array([w[found.normals: first] for w in words], dtype=np.bytes_)
+        mesh.point_data["Normals"] = normals.astype(np.float64).reshape(-1, 3)
+    behind = _table([w[first:] for w in words])
+    if behind is not None:
         mesh.point_data[COLOURS] = behind
-    if behind is not None and found.normals is not None:
-        mesh.point_data["Normals"] = behind[:, :3].astype(np.float64)
-        if behind.shape[1] > 3:
-            mesh.point_data[COLOURS] = behind[:, 3:]
     colours = [_table([rows[i][1 + sizes[i]:] for i in chosen]) for chosen in order]
     if colours and all(part is not None for part in colours):
         mesh.cell_data[COLOURS] = colours
@@ -219,7 +220,8 @@ def _lines(data: bytes) -> _Lines:
         msg = f"it has {len(rest)} lines for {n} vertices and {m} faces"
         raise MeshFileError(msg)
     at = (full[start - 1], 1 if start == 1 else 0)
-    return _Lines(lines, rest[:n], rest[n: n + m], 3 if b"N" in kind[1] else None, at)
+    has = b"N" in kind[1] and all(len(_words(lines[i])) > 5 for i in rest[:n])
+    return _Lines(lines, rest[:n], rest[n: n + m], 3 if has else None, at)
 
 
 def _words(line: bytes) -> list[bytes]:
