@@ -18,6 +18,9 @@ from odt_plugins.errors import DataNotKeptWarning, counted, warn
 from odt_plugins.mesh.components import components
 from odt_plugins.mesh.facets import row_keys
 
+ON_SEAM = 1e-6
+"""Largest barycentric coordinate of a vertex with respect to the corner opposite to its edge."""
+
 SEAM = "texture seam"
 """Kind of the edges within a chart across which texture coordinates jump."""
 
@@ -92,7 +95,8 @@ def _on_surface(
 
     A new triangle belongs to the chart under its barycentre. A wedge takes the coordinates that
     this chart has at the vertex: those of the old wedge where the vertex did not move, else
-    interpolated. Where a triangle lies across a seam, the triangle under it is continued.
+    interpolated, on a seam between those at the ends of its edge. Where a triangle lies across a
+    seam, the triangle under it is continued.
 
     Warns
     -----
@@ -117,6 +121,16 @@ def _on_surface(
     out[stays] = uv.reshape(-1, 2)[wedge[stays]]
     inside = (place >= 0) & (chart[feet.face[place]] == own[:, None])
     out[inside] = _interpolated(uv[feet.face], feet)[place[inside]]
+    face, corner = np.nonzero((place >= 0) & ~inside)
+    foot = place[face, corner]
+    weight = np.where(np.abs(feet.weights[foot]) > ON_SEAM, feet.weights[foot], 0.0)
+    wanted = cells[feet.face[foot]].astype(np.int64) * count + own[face, None]
+    at = np.minimum(np.searchsorted(key[order], wanted), len(key) - 1)
+    on = ((weight == 0.0) | (key[order[at]] == wanted)).all(axis=1)
+    shares = weight[on] / weight[on].sum(axis=1, keepdims=True)
+    there = (shares[..., None] * uv.reshape(-1, 2)[order[at[on]]]).sum(axis=1)
+    out[face[on], corner[on]] = there.astype(uv.dtype)
+    inside[face[on], corner[on]] = True
     across = int((~(stays | inside)).any(axis=1).sum())
     if across:
         msg = (

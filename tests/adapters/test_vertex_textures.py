@@ -1,9 +1,12 @@
-"""Texture coordinates of the vertices of open3d's tensor meshes, which move along the surface."""
+"""Texture coordinates of vertices and of triangles of open3d, which move along the surface."""
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
+import trimesh
 
 import odt_plugins
 
@@ -34,3 +37,36 @@ def test_they_stay_where_they_were_on_the_surface(run, soup):
     assert uv.dtype == np.float32
     np.testing.assert_allclose(uv, points[:, :2], atol=1e-6)
     np.testing.assert_array_equal(mesh.vertex["texture_uvs"].numpy(), before)
+
+
+@pytest.mark.parametrize("regions", ["auto", "charts"])
+@pytest.mark.parametrize("scale", [0.7, 1.3])
+@pytest.mark.parametrize("round_", [False, True])
+def test_vertices_on_seams_have_the_texture_of_both_charts(round_, scale, regions):
+    """Charts are the sides of a box, whose edges are seams, or halves of a ball."""
+    box = trimesh.creation.box().subdivide().subdivide()
+    made = trimesh.creation.icosphere(3) if round_ else box
+    points, cells = np.array(made.vertices), np.array(made.faces)
+
+    def texture(corners):
+        centre = corners.mean(axis=1)
+        axis = np.full(len(centre), 2) if round_ else np.abs(centre).argmax(axis=1)
+        row = np.arange(len(centre))
+        chart = 2 * axis + (centre[row, axis] > 0)
+        flat = np.stack([corners[row, :, (axis + 1) % 3], corners[row, :, (axis + 2) % 3]], axis=2)
+        return flat + 4.0 * chart[:, None, None]
+
+    mesh = open3d.geometry.TriangleMesh(open3d.utility.Vector3dVector(points),
+                                     open3d.utility.Vector3iVector(cells))
+    mesh.triangle_uvs = open3d.utility.Vector2dVector(texture(points[cells]).reshape(-1, 2))
+    across = round_ and regions == "auto"
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        out = odt_plugins.remesh(mesh, scale=scale, regions=regions)
+    assert bool(told) == across
+    corners = np.asarray(out.vertices)[np.asarray(out.triangles)]
+    found = np.asarray(out.triangle_uvs).reshape(-1, 3, 2)
+    off = (found - texture(corners)) / 4
+    if not across:
+        np.testing.assert_allclose(off, np.rint(off) if round_ else 0.0, rtol=0, atol=1e-9)
+        assert np.ptp(np.rint(off), axis=1).max() == 0
