@@ -21,6 +21,7 @@ import tempfile
 import threading
 from collections.abc import Callable, Iterable
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
 
 from odt_plugins.errors import exit_name
@@ -31,6 +32,9 @@ HDF5 = ("cgns", "exodus", "h5m", "hmf", "med", "xdmf")
 VTK = {"vtk": "legacy", "vtu": "UnstructuredGrid", "vtp": "PolyData"}
 """Formats that VTK reads and writes, by their name in meshio, which knows no .vtp, and what VTK
 calls them."""
+
+PIECES = (".vtm", ".vtmb", ".pvtu", ".pvtp", ".vtkhdf")
+"""Suffixes of files of VTK that pyvista alone reads."""
 
 BEFOREHAND = ("odt_plugins.adapters.vtk_files", "vtkmodules.vtkIOXML", "vtkmodules.vtkIOLegacy",
               "vtkmodules.util.numpy_support", "meshio")
@@ -150,6 +154,12 @@ def _ready(modules: tuple[str, ...]) -> _Process:
         process = _staying()[modules] = _Process(*modules)
         atexit.register(process.end)
     return process
+
+
+def hint(path: Path) -> str:
+    """What to try with files of VTK that pyvista alone reads, of several meshes or pieces."""
+    known = path.suffix.lower() in PIECES and vtk_installed()
+    return ", try pyvista.read and odt_plugins.optimize of what it gives" if known else ""
 
 
 def vtk_installed() -> bool:

@@ -285,7 +285,7 @@ def _formats(path: Path) -> list[str]:
                f'"pip install {package}"')
         raise MissingDependencyError(msg)
     msg = f"{path} has no suffix of a mesh file; expected one of {' '.join(sorted(known))}"
-    raise MeshFileError(msg)
+    raise MeshFileError(msg + apart.hint(path))
 
 
 def write_arrays(

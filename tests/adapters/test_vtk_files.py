@@ -223,3 +223,11 @@ def test_legacy_files_stay_polydata_and_of_their_version(binary, tmp_path):
     optimize_file(old, tmp_path / "new.vtk")
     assert (tmp_path / "new.vtk").read_bytes().startswith(b"# vtk DataFile Version 4.2")
     assert len(meshio.read(tmp_path / "new.vtk").points) == 60
+
+
+@pytest.mark.parametrize("suffix", [".vtm", ".pvtu", ".vtkhdf"])
+def test_files_that_pyvista_alone_reads_are_refused_with_what_to_try(suffix, tmp_path):
+    pyvista.MultiBlock([pyvista.Sphere()]).save(tmp_path / "a.vtm")
+    (tmp_path / "a.vtm").rename(tmp_path / f"a{suffix}")
+    with pytest.raises(MeshFileError, match=rf"{suffix} has no suffix .*, try pyvista.read and"):
+        files.read_file(tmp_path / f"a{suffix}")
