@@ -179,9 +179,9 @@ def new_vertices(
         near = np.where(origin < 0, beside, near)
     cell, weights = around(written[placed].astype(np.float64), near[placed])
     number = new_numbers(origin, n)[:n].astype(np.int64)
-    now = depths(outcome.cells, outcome.regions, len(written))
+    now = depths(outcome.points, outcome.cells, outcome.regions)
     return NewVertices(origin, number, np.flatnonzero(placed), before.cells[cell], weights,
-                       depths=(depths(before.cells, before.regions, n), now[placed]))
+                       depths=(depths(before.points, before.cells, before.regions), now[placed]))
 
 
 def new_faces(

@@ -172,8 +172,8 @@ def elevated(
         which, weights = _in_curved(host, x, which, weights, locate)
     followed = NewVertices(origin, number, placed, nodes[which].astype(np.int32),
                            shape_values(shape, weights), depths=(
-        depths(nodes, host.regions, len(host.points), shape),
-        depths(cells, None if host.regions is None else host.regions[result.source], len(out),
+        depths(np.asarray(host.points), nodes, host.regions, shape),
+        depths(out, cells, None if host.regions is None else host.regions[result.source],
                shape)[placed]))
     number_of = dict(zip(map(tuple, ends.tolist()), at.tolist(), strict=True))
     faces = tuple(faces and NewFaces(_with_middles(faces.rows, index, number_of), faces.source)

@@ -23,6 +23,9 @@ SET_VERTEX, NAMED_VERTEX = "vertex of point set", "vertex named by its file"
 CELL_VERTEX = "vertex alone in a cell"
 """Kind of kept cells of a vertex each: those that make up no cells or facets are places."""
 
+NEAR = 1e-6
+"""Largest barycentric coordinate of a vertex on the face opposite to a corner."""
+
 POINT_LABELS = ("medit:ref", "tetgen:ref", "point_tags")
 """Labels of points that formats hold beside their labels of cells; 0 is none."""
 
@@ -210,8 +213,9 @@ class NewVertices(NamedTuple):
     corners : (k, d + 1) int32  input vertices around each of them
     weights : (k, d + 1)        with these barycentric coordinates, of sum 1
     conserved : dict of (n', ...)   fields whose integrals stay, by their names
-    depths : (n,) int, (k,) int     of input vertices, and of vertices `placed`: 0 on the boundary,
-                                    1 on an interface, 2 inside; None where that is not known
+    depths : (n,) int, (k,) int     of input vertices, and of vertices `placed`: -1 on creases of
+                                    the boundary, 0 elsewhere on it, 1 on an interface, 2 inside;
+                                    None where that is not known
     """
 
     origin: NDArray[np.int64]
@@ -234,8 +238,9 @@ class NewVertices(NamedTuple):
 
         A vertex that is still there keeps its value, unless it moved and the values are those of a
         `field`. For one that was added, floating-point numbers and colours are interpolated
-        linearly, of anything else the value of the nearest corner is taken, or off the boundary the
-        value that all vertices there had, as where markers tell the boundary. Those whose integrals
+        linearly, of anything else the value of the nearest corner is taken, of those that are
+        farthest inside where it is, or off the boundary the value that all vertices there had:
+        where markers tell the boundary, or a side of it, others have none. Those whose integrals
         stay are there already.
         """
         if name in self.conserved:
@@ -247,9 +252,12 @@ class NewVertices(NamedTuple):
             new = added | field
             out[self.placed[new]] = interpolated(at_corners[new], self.weights[new])
         else:
-            nearest = self.weights.argmax(axis=1)
-            out[self.placed[added]] = at_corners[np.arange(len(nearest)), nearest][added]
             was, now = self.depths or (np.zeros(len(values)), np.zeros(len(added)))
+            deep = np.where(self.weights > NEAR, was[self.corners], -2)
+            deep = np.where(deep > now[:, None], -2, deep)
+            deepest = deep == deep.max(axis=1, keepdims=True)
+            nearest = np.where(deepest, self.weights, -np.inf).argmax(axis=1)
+            out[self.placed[added]] = at_corners[np.arange(len(nearest)), nearest][added]
             for depth in (1, 2):
                 own, here = values[was == depth], self.placed[added & (now == depth)]
                 if len(own) and (own == own[:1]).all():

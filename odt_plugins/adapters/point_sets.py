@@ -16,6 +16,9 @@ from odt_plugins.mesh.facets import row_keys
 ZERO = 1e-9
 """Barycentric coordinates below which a point is on the opposite face."""
 
+CREASE = 0.9
+"""Cosine of the angle between facets from which on there is a crease."""
+
 SLACK = 0.1
 """How much further than the nearest facet one that a point is on may be, by the shortest edge."""
 
@@ -219,14 +222,28 @@ def _keys(
 
 
 def depths(
-    cells: NDArray[np.integer], labels: NDArray[np.integer] | None, n: int,
-    shape: NDArray[np.int64] | None = None,
+    points: NDArray[np.floating], cells: NDArray[np.integer],
+    labels: NDArray[np.integer] | None, shape: NDArray[np.int64] | None = None,
 ) -> NDArray[np.int8]:
-    """0 for those of n points that are on the boundary of cells, 1 on interfaces, 2 for others."""
+    """How far inside points are: -1 on creases of the boundary of cells, 0 elsewhere on it, 1 on
+    interfaces, 2 for others.
+    """
+    n = len(points)
     out = np.full(n, 2, dtype=np.int8)
-    if labels is not None:
-        out[walls_of(cells, labels, n, shape)] = 1
-    out[walls_of(cells, None, n, shape)] = 0
+    walls, outer = _walls(cells, labels, n, shape)
+    out[walls] = 1
+    walls = walls[outer]
+    out[walls] = 0
+    corners = cells.shape[1] if shape is None else shape.shape[1]
+    places = points[walls[:, : corners - 1]].astype(np.float64)
+    ways = places[:, 1:] - places[:, :1]
+    normal = ways[:, 0] if corners == 3 else np.cross(ways[:, 0], ways[:, 1])
+    size = np.sqrt((normal**2).sum(axis=1, keepdims=True))
+    normal = np.divide(normal, size, out=np.zeros_like(normal), where=size > 0.0)
+    one = np.zeros(n, dtype=np.int64)
+    one[walls] = np.arange(len(walls))[:, None]
+    along = np.abs((normal[:, None] * normal[one[walls]]).sum(axis=2))
+    out[walls[along < CREASE]] = -1
     return out
 
 
@@ -238,12 +255,21 @@ def walls_of(
 
     Of cells (m, k) of higher order `shape` (k, d + 1) are the weights of the nodes.
     """
+    return _walls(cells, labels, n, shape)[0]
+
+
+def _walls(
+    cells: NDArray[np.integer], labels: NDArray[np.integer] | None, n: int,
+    shape: NDArray[np.int64] | None,
+) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """The facets of :func:`walls_of`, and which of them are of one cell alone."""
     facets = _facets(cells, shape)
-    own = np.zeros(len(cells), dtype=np.int64) if labels is None else labels.ravel()
     _, first, inverse, count = np.unique(
         _keys(facets, n, shape), return_index=True, return_inverse=True, return_counts=True)
-    inverse = inverse.ravel()
-    label = np.tile(own, len(facets) // max(len(cells), 1))
     differ = np.zeros(len(first), dtype=np.bool_)
-    np.logical_or.at(differ, inverse, label != label[first[inverse]])
-    return np.asarray(facets[first[(count == 1) | differ]])
+    if labels is not None:
+        inverse = inverse.ravel()
+        label = np.tile(labels.ravel(), len(facets) // max(len(cells), 1))
+        np.logical_or.at(differ, inverse, label != label[first[inverse]])
+    chosen = (count == 1) | differ
+    return np.asarray(facets[first[chosen]]), count[chosen] == 1

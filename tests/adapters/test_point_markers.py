@@ -43,3 +43,16 @@ def test_without_vertices_inside_only_markers_of_formats_are_none():
     assert not rim.all()
     assert np.array_equal(made.point_data["tetgen:ref"], rim * 3)
     assert set(made.point_data["other"]) == {3}
+
+
+@pytest.mark.parametrize("kind", ["linear", "quadratic", "plane"])
+def test_new_vertices_beside_a_side_have_no_marker_of_that_side(kind):
+    dim = 2 if kind == "plane" else 3
+    points, cells = box(dim, 5)
+    name = {4: "tetra", 3: "triangle", 10: "tetra10"}
+    if kind == "quadratic":
+        points, cells = quadratic(points, cells)
+    marks = {"left": points[:, 0] == 0}
+    made = remesh(meshio.Mesh(points, [(name[cells.shape[1]], cells)], point_data=marks), scale=0.6)
+    assert len(made.points) > 1.3 * len(points)
+    assert np.array_equal(made.point_data["left"], np.isclose(made.points[:, 0], 0.0, atol=1e-3))
