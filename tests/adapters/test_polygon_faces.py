@@ -126,3 +126,44 @@ def test_polygons_of_a_surface_are_filled_and_their_names_are_on_the_boundary(le
         p = made.points[made.cells_dict["triangle"][made.cell_sets["whole"][1]]]
         area = np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1).sum() / 2
         assert area == pytest.approx(1.0, abs=0.02)
+
+
+@pytest.mark.parametrize("run", [
+    odt_plugins.optimize, lambda mesh: odt_plugins.remesh(mesh, scale=0.7),
+    lambda mesh: odt_plugins.remesh(mesh, scale=1.4)])
+@pytest.mark.parametrize("points_too", [False, True])
+def test_obj_with_texture_on_one_material_alone_and_with_points(run, points_too, tmp_path):
+    box = trimesh.creation.box().subdivide().subdivide()
+    shake = np.random.default_rng(2).uniform(-0.04, 0.04, box.vertices.shape)
+    points = box.vertices + np.where(np.abs(np.abs(box.vertices) - 0.5) < 1e-9, 0, shake)
+    lid = box.face_normals[:, 2] > 0.5
+    text = [*("v {!r} {!r} {!r}".format(*p) for p in points.tolist()),
+            *("vt {!r} {!r}".format(*(p[:2] + 0.5).tolist()) for p in points), "usemtl paint",
+            *("f " + " ".join(f"{v + 1}/{v + 1}" for v in face) for face in box.faces[lid]),
+            "usemtl plain", *("f {} {} {}".format(*face) for face in box.faces[~lid] + 1)]
+    inner = np.flatnonzero((np.abs(points[:, :2]) < 0.3).all(axis=1))[:2]
+    text += ["p {} {} # sensors".format(*(inner + 1))] * points_too
+    (tmp_path / "a.obj").write_text("\n".join(text) + "\n")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        write_file(tmp_path / "b.obj", run(read_file(tmp_path / "a.obj")))
+    lines = (tmp_path / "b.obj").read_text().splitlines()
+    places = np.array([x.split()[1:] for x in lines if x[:2] == "v "], dtype=float)
+    texture = np.array([x.split()[1:] for x in lines if x[:3] == "vt "], dtype=float)
+    materials = {"paint": [], "plain": []}
+    own = []
+    for line in lines:
+        if line[:2] == "us":
+            own = materials[line.partition(" ")[2]]
+        if line[:2] == "f ":
+            own.append([[int(n) - 1 for n in w.split("/")] for w in line.split()[1:]])
+    paint, plain = (np.array(materials[key]) for key in ("paint", "plain"))
+    assert paint.shape[1:] == (3, 2)
+    assert plain.shape[1:] == (3, 1)
+    np.testing.assert_allclose(texture[paint[..., 1]], places[paint[..., 0], :2] + 0.5, atol=1e-8)
+    area = [np.linalg.norm(np.cross(*np.diff(places[rows[..., 0]], axis=1).transpose(1, 0, 2)),
+                           axis=1).sum() / 2 for rows in (paint, plain)]
+    assert area == pytest.approx([1.0, 5.0], abs=1e-3)
+    if points_too:
+        named = [line.split()[1:3] for line in lines if line[:2] == "p "]
+        assert np.array_equal(places[np.array(named[0], dtype=int) - 1], points[inner])

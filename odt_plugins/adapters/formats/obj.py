@@ -16,7 +16,7 @@ from odt_plugins.adapters.formats.polygons import as_mesh
 from odt_plugins.errors import MeshFileError
 
 TEXTURE = "texcoord"
-"""Array (m, 6) of the texture coordinates of the corners of triangles."""
+"""Array (m, 6) of the texture coordinates of the corners of triangles, 0 of those without."""
 
 NORMALS, COLOURS = "Normals", "obj:colour"
 """Arrays of vertices."""
@@ -40,6 +40,7 @@ class _Lines(NamedTuple):
     corners : list               of every face its words, as three numbers from 0 on; -1 for none
     state : list of int          number of the group, object and material of every face
     names : list of str          of these
+    alone : dict of lists        vertices that are points, by the numbers of their lines
     """
 
     lines: list[bytes]
@@ -52,10 +53,11 @@ class _Lines(NamedTuple):
     corners: list[list[tuple[int, int, int]]]
     state: list[int]
     names: list[str]
+    alone: dict[int, list[int]]
 
 
 def read(path: Path) -> Any:
-    """Read vertices, faces and lines; what faces belong to are sets of cells where it differs.
+    """Read vertices, faces, lines and points; what faces belong to are sets where it differs.
 
     Returns
     -------
@@ -82,9 +84,11 @@ def read(path: Path) -> Any:
         colours = np.array([w[-3:] if len(w) == 6 else w[3:6] for w in words], dtype=np.bytes_)
         mesh.point_data[COLOURS] = colours.astype(np.float64)
     for i, part in enumerate(_references(found, order, 1)):
-        if mesh.cells[i].type == "triangle" and uv.ndim == 2 and (part >= 0).all():
-            mesh.cell_data[TEXTURE] = [np.zeros((len(rows), 6)) for rows in order]
-            mesh.cell_data[TEXTURE][i] = uv[part].reshape(-1, 6)
+        if mesh.cells[i].type == "triangle" and uv.ndim == 2:
+            has = (part >= 0).all(axis=1)
+            if has.any():
+                mesh.cell_data[TEXTURE] = [np.zeros((len(rows), 6)) for rows in order]
+                mesh.cell_data[TEXTURE][i][has] = uv[part[has]].reshape(-1, 6)
     at = _of_vertices(found, len(points))
     if at is not None and normals.ndim == 2:
         mesh.point_data[NORMALS] = normals[at]
@@ -93,11 +97,14 @@ def read(path: Path) -> Any:
     if len(kinds) > 1:
         mesh.cell_sets = {found.names[k]: [np.flatnonzero(state[rows] == k) for rows in order]
                           for k in kinds.tolist()}
-    if found.ends:
-        pairs = np.array([pair for ends in found.ends for pair in pairwise(ends)])
-        mesh.cells.append(CellBlock("line", pairs.reshape(-1, 2)))
+    pairs = np.array([pair for ends in found.ends for pair in pairwise(ends)], dtype=np.int64)
+    alone = np.array([v for row in found.alone.values() for v in row], dtype=np.int64)
+    for kind, size, rows in (("line", 2, pairs), ("vertex", 1, alone)):
+        if not len(rows):
+            continue
+        mesh.cells.append(CellBlock(kind, rows.reshape(-1, size)))
         for values in mesh.cell_data.values():
-            values.append(np.zeros((len(pairs), 6)))
+            values.append(np.zeros((len(rows), 6)))
         for members in mesh.cell_sets.values():
             members.append(np.zeros(0, dtype=np.int64))
     return mesh
@@ -181,17 +188,11 @@ def _with_others(found: _Lines, change: Change) -> list[bytes]:
 
     Raises
     ------
-    NotRewritable    there are points, or only some triangles have texture coordinates
+    NotRewritable    a point went
     """
     after = change.after
     _, order = as_mesh(np.asarray(change.before.points), [[c[0] for c in f] for f in found.corners])
-    if any(line.split()[:1] == [b"p"] for line in found.lines):
-        msg = "vertices came or went, and it has points"
-        raise NotRewritable(msg)
     texture = _texture(found, change, 0)
-    if texture is None and any(c[1] >= 0 for i in order[0].tolist() for c in found.corners[i]):
-        msg = "vertices came or went, and some triangles have no texture coordinates"
-        raise NotRewritable(msg)
     sources = [rows[of].tolist() for rows, of in zip(order, change.cells, strict=False)]
     corners = [row for block, _ in zip(after.cells, order, strict=False)
                for row in np.asarray(block.data).tolist()]
@@ -225,11 +226,17 @@ def _with_others(found: _Lines, change: Change) -> list[bytes]:
     if found.ends:
         of_pair = [at for at, ends in zip(found.wires, found.ends, strict=True) for _ in ends[1:]]
         wires: dict[int, list[bytes]] = {at: [] for at in found.wires}
-        for pair, source in zip(np.asarray(after.cells[-1].data).tolist(),
-                                change.cells[-1].tolist(), strict=True):
+        for pair, source in zip(np.asarray(after.cells[len(order)].data).tolist(),
+                                change.cells[len(order)].tolist(), strict=True):
             wires[of_pair[source]].append(b"l %d %d" % (pair[0] + 1, pair[1] + 1) + end)
         for at, texts in wires.items():
             lines[at] = b"".join(texts)
+    for at, row in found.alone.items():
+        there = change.number[row]
+        if (there < 0).any():
+            msg = "vertices went that are points"
+            raise NotRewritable(msg)
+        lines[at] = b" ".join([b"p", *(b"%d" % (v + 1) for v in there.tolist())]) + end
     return lines
 
 
@@ -241,7 +248,7 @@ def _lines(data: bytes) -> _Lines:
             lines[-1] = lines[-1].rstrip()[:-1] + b" " + line
         else:
             lines.append(line)
-    out = _Lines(lines, [], [], [], [], [], [], [], [], [])
+    out = _Lines(lines, [], [], [], [], [], [], [], [], [], {})
     known: dict[tuple[bytes, ...], int] = {}
     current = dict.fromkeys(STATES, b"")
     for i, line in enumerate(lines):
@@ -257,9 +264,12 @@ def _lines(data: bytes) -> _Lines:
             out.normals.append(i)
         elif head in current:
             current[head] = b" ".join(words[1:])
-        elif head in (b"f", b"l"):
+        elif head in (b"f", b"l", b"p"):
             counts = (len(out.vertices), len(out.texture), len(out.normals))
             corners = [_corner(word, counts) for word in words[1:]]
+            if head == b"p":
+                out.alone[i] = [c[0] for c in corners]
+                continue
             if head == b"l":
                 out.ends.append([c[0] for c in corners])
                 out.wires.append(i)
@@ -295,7 +305,7 @@ def _corner(word: bytes, counts: tuple[int, int, int]) -> tuple[int, int, int]:
 
 def _expect_there(found: _Lines) -> None:
     flat = [c for face in found.corners for c in face]
-    flat += [(v, -1, -1) for ends in found.ends for v in ends]
+    flat += [(v, -1, -1) for ends in (*found.ends, *found.alone.values()) for v in ends]
     table = np.array(flat, dtype=np.int64).reshape(-1, 3)
     for i, what in enumerate(("vertices", "texture", "normals")):
         size = len(getattr(found, what))
@@ -326,17 +336,25 @@ def _of_vertices(found: _Lines, count: int) -> NDArray[np.int64] | None:
 def _texture(
     found: _Lines, change: Change, block: int
 ) -> tuple[NDArray[np.int64], list[list[float]]] | None:
-    """Numbers (m', 3) of the texture coordinates of corners, and all of these, new ones last."""
+    """Numbers (m', 3) of the texture coordinates of corners, and all of these, new ones last.
+
+    Triangles that come from one without texture have none, -1, if others in the file have some.
+    """
     if TEXTURE not in change.after.cell_data:
         return None
     old = [[float(x) for x in found.lines[i].split()[1:]] for i in found.texture]
     known = {tuple(row[:2]): i for i, row in reversed(list(enumerate(old)))}
-    wanted = np.asarray(change.after.cell_data[TEXTURE][block]).reshape(-1, 2).tolist()
+    faces = [i for i, face in enumerate(found.corners) if len(face) == 3]
+    bare = np.array([bool(old) and any(c[1] < 0 for c in found.corners[i]) for i in faces])
+    has = ~bare[change.cells[block]]
+    wanted = np.asarray(change.after.cell_data[TEXTURE][block])[has].reshape(-1, 2).tolist()
     numbers = [known.setdefault((u, v), len(known) + len(old)) for u, v in wanted]
     fresh = {i: key for key, i in known.items() if i >= len(old)}
     place = {i: len(old) + k for k, i in enumerate(sorted(fresh))}
     values = old + [list(fresh[i]) for i in sorted(fresh)]
-    return np.array([place.get(i, i) for i in numbers]).reshape(-1, 3), values
+    out = np.full((len(has), 3), -1, dtype=np.int64)
+    out[has] = np.array([place.get(i, i) for i in numbers], dtype=np.int64).reshape(-1, 3)
+    return out, values
 
 
 def _normals(
