@@ -24,7 +24,7 @@ REGION_ARRAYS = ("marker", "gmsh:physical", "gmsh:geometrical", "medit:ref", "ce
                  "nastran:part", "nastran:ref", "netgen:index", "tetgen:ref", "ugrid:ref",
                  "avsucd:material", "abaqus:elset", "mdpa:part")
 """Names that pytetwild.tetrahedralize_csg and the formats of meshio give to the material of a
-cell. The first one that has several values is taken."""
+cell. The first one that has several values, few if these are no whole numbers, is taken."""
 
 KNOWN = re.compile(
     r"(cell|element|elem|triangle|face|tet|tetra)?"
@@ -109,7 +109,8 @@ def region_labels(
         names = list(regions)
     for name in names:
         _expect(arrays, name)
-    values = [arrays[name] for name in names]
+    values = [np.unique(arrays[name], return_inverse=True)[1].ravel()
+              if _are_attributes(name, arrays[name]) else arrays[name] for name in names]
     if len(values) > 1:
         rows = np.stack([compact_labels(v, len(cells)) for v in values], axis=1)
         values = [np.unique(rows, axis=0, return_inverse=True)[1].ravel()]
@@ -123,6 +124,12 @@ def are_whole(values: NDArray[Any]) -> bool:
     if values.dtype.kind == "O":
         return all(isinstance(value, str) for value in values.ravel().tolist())
     return values.dtype.kind in "iubU"
+
+
+def _are_attributes(name: str, values: NDArray[Any]) -> bool:
+    """Say whether an array of a known name has numbers that are not whole, as TetGen's may."""
+    return (name in REGION_ARRAYS and values.dtype.kind == "f" and not are_whole(values)
+            and bool(np.isfinite(values).all()))
 
 
 def spreads(arrays: Mapping[str, NDArray[Any]], cells: NDArray[Any]) -> dict[str, Spread]:
@@ -142,7 +149,8 @@ def spreads(arrays: Mapping[str, NDArray[Any]], cells: NDArray[Any]) -> dict[str
     for name, values in arrays.items():
         plain = re.sub(r"[^a-z]", "", name.lower())
         known = name in REGION_ARRAYS or KNOWN.fullmatch(plain) is not None
-        whole = values.shape in ((len(cells),), (len(cells), 1)) and are_whole(values)
+        whole = are_whole(values) or _are_attributes(name, values)
+        whole = whole and values.shape in ((len(cells),), (len(cells), 1))
         if not whole or not (known or NOT_REGIONS.fullmatch(plain) is None):
             continue
         if values.dtype.kind == "O":

@@ -258,3 +258,17 @@ def test_fields_of_floats_are_no_labels():
     assert found(x[:, 0], cells, "material") == ()
     assert found(np.floor(1000 * x[:, 0]), cells, "material") == ()
     assert found(np.where(x[:, 0] > 0.5, np.nan, 1.0), cells, "material") == ()
+
+
+@pytest.mark.parametrize("regions", [AUTO, "tetgen:ref"])
+def test_few_values_of_a_known_array_are_labels_if_not_whole(regions):
+    points, cells, inside = ball()
+    values = np.where(inside, 2.65, 0.5)
+    grid = pyvista.UnstructuredGrid({10: cells}, points)
+    grid.cell_data["tetgen:ref"] = values
+    better = odt_plugins.optimize(grid, regions=regions)
+    volume = [mesh.extract_cells(np.flatnonzero(mesh.cell_data["tetgen:ref"] > 1)).volume
+              for mesh in (grid, better)]
+    assert volume[1] == pytest.approx(volume[0], rel=1e-12)
+    assert found(np.arange(len(cells)) / 7, cells, "tetgen:ref") == ()
+    assert found(np.where(inside, np.nan, 1.0), cells, "tetgen:ref") == ()
