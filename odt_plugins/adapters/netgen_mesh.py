@@ -39,8 +39,8 @@ from odt_plugins.errors import (
 )
 from odt_plugins.mesh.faces import Faces, ends_of
 
-TRIANGLE, TETRAHEDRON = 10, 20
-"""Netgen's numbers of element types."""
+TRIANGLE, TETRAHEDRON, SECOND = 10, 20, (12, 21)
+"""Netgen's numbers of element types, those of second order last."""
 
 OVER = 1.25
 """How many times too far from its chord a parabola by Netgen is in the middle, where all that it is
@@ -307,9 +307,11 @@ def _elements(mesh: Any, dim: int) -> Any:
     kind, name = (TETRAHEDRON, "tetrahedra") if dim == 3 else (TRIANGLE, "triangles")
     bad = np.flatnonzero(table["type"] != kind)
     if bad.size:
-        msg = (f"got {counted(bad.size, 'element')} of Netgen's type {table['type'][bad[0]]} "
-               f"(first: element {bad[0]}); expected linear {name} only, and Curve(2) in the "
-               f"place of SecondOrder()")
+        found = int(table["type"][bad[0]])
+        better = "Split2Tets()" if dim == 3 else "GenerateMesh() without quad_dominated"
+        better = "Curve(2) in the place of SecondOrder()" if found in SECOND else better
+        msg = (f"got {counted(bad.size, 'element')} of Netgen's type {found} (first: element "
+               f"{bad[0]}); expected linear {name} only, try {better}")
         raise UnsupportedMeshError(msg)
     return table
 

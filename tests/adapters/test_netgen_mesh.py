@@ -190,6 +190,7 @@ def test_what_ngsolve_adds_is_lost_with_a_warning():
 
 
 def test_what_cannot_be_kept_is_named():
+    from netgen.geom2d import SplineGeometry
     from netgen.meshing import Mesh
 
     mesh = part(0.8)
@@ -198,6 +199,10 @@ def test_what_cannot_be_kept_is_named():
     mesh.SecondOrder()
     with pytest.raises(UnsupportedMeshError, match=r"type 21 .*Curve\(2\)"):
         odt_plugins.optimize(mesh)
+    square = SplineGeometry()
+    square.AddRectangle((0, 0), (1, 1))
+    with pytest.raises(UnsupportedMeshError, match=r"triangles only, try GenerateMesh\(\) without"):
+        odt_plugins.optimize(square.GenerateMesh(maxh=0.3, quad_dominated=True))
     with pytest.raises(InvalidMeshError, match=r"no elements \(0 points\)"):
         odt_plugins.optimize(Mesh(3))
     mesh = part(0.8)
