@@ -23,6 +23,9 @@ SET_VERTEX, NAMED_VERTEX = "vertex of point set", "vertex named by its file"
 CELL_VERTEX = "vertex alone in a cell"
 """Kind of kept cells of a vertex each: those that make up no cells or facets are places."""
 
+CREASE, OUTSIDE, INTERFACE, INSIDE = -1, 0, 1, 2
+"""How far inside vertices are: on creases of the boundary, elsewhere on it, on interfaces, inside."""
+
 NEAR = 1e-6
 """Largest barycentric coordinate of a vertex on the face opposite to a corner."""
 
@@ -213,9 +216,8 @@ class NewVertices(NamedTuple):
     corners : (k, d + 1) int32  input vertices around each of them
     weights : (k, d + 1)        with these barycentric coordinates, of sum 1
     conserved : dict of (n', ...)   fields whose integrals stay, by their names
-    depths : (n,) int, (k,) int     of input vertices, and of vertices `placed`: -1 on creases of
-                                    the boundary, 0 elsewhere on it, 1 on an interface, 2 inside;
-                                    None where that is not known
+    depths : (n,) int, (k,) int     how far inside input vertices are, and vertices `placed`; None
+                                    where that is not known
     """
 
     origin: NDArray[np.int64]
@@ -238,10 +240,10 @@ class NewVertices(NamedTuple):
 
         A vertex that is still there keeps its value, unless it moved and the values are those of a
         `field`. For one that was added, floating-point numbers and colours are interpolated
-        linearly, of anything else the value of the nearest corner is taken, of those that are
-        farthest inside where it is, or off the boundary the value that all vertices there had:
-        where markers tell the boundary, or a side of it, others have none. Those whose integrals
-        stay are there already.
+        linearly, of anything else the value of the nearest corner is taken. Where all vertices
+        inside had one value, as markers of the boundary have, those that come inside have it too,
+        and others that of a corner as far inside as they are, if there is one. Those whose
+        integrals stay are there already.
         """
         if name in self.conserved:
             return self.conserved[name].reshape(-1, *values.shape[1:])
@@ -251,20 +253,32 @@ class NewVertices(NamedTuple):
         if varies(name, values):
             new = added | field
             out[self.placed[new]] = interpolated(at_corners[new], self.weights[new])
-        else:
-            was, now = self.depths or (np.zeros(len(values)), np.zeros(len(added)))
-            deep = np.where(self.weights > NEAR, was[self.corners], -2)
-            deep = np.where(deep > now[:, None], -2, deep)
-            deepest = deep == deep.max(axis=1, keepdims=True)
-            nearest = np.where(deepest, self.weights, -np.inf).argmax(axis=1)
-            out[self.placed[added]] = at_corners[np.arange(len(nearest)), nearest][added]
-            for depth in (1, 2):
-                own, here = values[was == depth], self.placed[added & (now == depth)]
-                if len(own) and (own == own[:1]).all():
-                    out[here] = own[0]
-                elif not len(own) and depth > 1 and name in POINT_LABELS:
-                    out[here] = 0
+            return out
+        near, depths = self.weights, self.depths
+        if depths is not None and not _alike(values[depths[0] == INSIDE]):
+            depths = None
+        if depths is not None:
+            near = self._deepest(*depths)
+        out[self.placed[added]] = at_corners[np.arange(len(near)), near.argmax(axis=1)][added]
+        was, now = depths or (np.zeros(0), np.zeros(0))
+        for depth in (INTERFACE, INSIDE) if depths is not None else ():
+            own, here = values[was == depth], self.placed[added & (now == depth)]
+            if len(own) and _alike(own):
+                out[here] = own[0]
+            elif not len(own) and depth == INSIDE and name in POINT_LABELS:
+                out[here] = 0
         return out
+
+    def _deepest(self, was: NDArray[np.int8], now: NDArray[np.int8]) -> NDArray[np.float64]:
+        """Weights of those corners alone that lie the deepest, but no deeper than the vertex."""
+        deep = np.where(self.weights > NEAR, was[self.corners], -2)
+        deep = np.where(deep > now[:, None], -2, deep)
+        return np.where(deep == deep.max(axis=1, keepdims=True), self.weights, -np.inf)
+
+
+def _alike(values: NDArray[Any]) -> bool:
+    """Whether all values (n, ...) are the same."""
+    return bool((values == values[:1]).all())
 
 
 def interpolated(at_corners: NDArray[Any], weights: NDArray[np.float64]) -> NDArray[Any]:

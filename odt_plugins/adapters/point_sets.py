@@ -9,15 +9,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters.host import HostMesh, NewVertices, Result, as_indices
+from odt_plugins.adapters.host import (
+    CREASE,
+    INSIDE,
+    INTERFACE,
+    OUTSIDE,
+    HostMesh,
+    NewVertices,
+    Result,
+    as_indices,
+)
 from odt_plugins.errors import DataNotKeptWarning, counted, warn
 from odt_plugins.mesh.facets import row_keys
 
 ZERO = 1e-9
 """Barycentric coordinates below which a point is on the opposite face."""
 
-CREASE = 0.9
-"""Cosine of the angle between facets from which on there is a crease."""
+SMOOTH = 0.9
+"""Least cosine of the angle between facets where there is no crease."""
 
 SLACK = 0.1
 """How much further than the nearest facet one that a point is on may be, by the shortest edge."""
@@ -225,15 +234,13 @@ def depths(
     points: NDArray[np.floating], cells: NDArray[np.integer],
     labels: NDArray[np.integer] | None, shape: NDArray[np.int64] | None = None,
 ) -> NDArray[np.int8]:
-    """How far inside points are: -1 on creases of the boundary of cells, 0 elsewhere on it, 1 on
-    interfaces, 2 for others.
-    """
+    """How far inside (n,) points are."""
     n = len(points)
-    out = np.full(n, 2, dtype=np.int8)
+    out = np.full(n, INSIDE, dtype=np.int8)
     walls, outer = _walls(cells, labels, n, shape)
-    out[walls] = 1
+    out[walls] = INTERFACE
     walls = walls[outer]
-    out[walls] = 0
+    out[walls] = OUTSIDE
     corners = cells.shape[1] if shape is None else shape.shape[1]
     places = points[walls[:, : corners - 1]].astype(np.float64)
     ways = places[:, 1:] - places[:, :1]
@@ -243,7 +250,7 @@ def depths(
     one = np.zeros(n, dtype=np.int64)
     one[walls] = np.arange(len(walls))[:, None]
     along = np.abs((normal[:, None] * normal[one[walls]]).sum(axis=2))
-    out[walls[along < CREASE]] = -1
+    out[walls[along < SMOOTH]] = CREASE
     return out
 
 

@@ -17,7 +17,6 @@ from odt_plugins.engine.run.outcome import Leaving, Outcome, as_it_is, unchanged
 from odt_plugins.engine.run.retreat import run_sliding
 from odt_plugins.engine.run.sizes import keeps_sizes, sizes_after
 from odt_plugins.engine.run.stages import finish_alone, in_cycles, insert, worst_cells
-from odt_plugins.engine.run.volumes import with_volumes
 from odt_plugins.engine.run.within import WHOLE, Within
 from odt_plugins.engine.run.work import Work, begin
 from odt_plugins.engine.topology.complex import Complex
@@ -165,6 +164,8 @@ def _judged(work: Work, leaving: Leaving, state: State) -> tuple[Outcome, list[s
     if work.within.whole is not None:
         return outcome, []
     if work.slides:
+        from odt_plugins.engine.run.volumes import with_volumes
+
         outcome = with_volumes(start.mesh, outcome, work.options)
     outcome = leaving(outcome)
     broken, slid = faults(
