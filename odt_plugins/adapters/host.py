@@ -24,7 +24,7 @@ CELL_VERTEX = "vertex alone in a cell"
 """Kind of kept cells of a vertex each: those that make up no cells or facets are places."""
 
 CREASE, OUTSIDE, INTERFACE, INSIDE = -1, 0, 1, 2
-"""How far inside vertices are: on creases of the boundary, elsewhere on it, on interfaces, inside."""
+"""How far inside vertices are: on creases of the boundary, on its rest, on interfaces, inside."""
 
 NEAR = 1e-6
 """Largest barycentric coordinate of a vertex on the face opposite to a corner."""
