@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -130,7 +131,13 @@ def around(
 ) -> tuple[IntArray, FloatArray]:
     """Input cells in which places (k, D) lie or, on a curved surface, under them; coordinates."""
     before = work.mesh if work.tangle is None else work.tangle.around
-    x = x if work.frame is None else work.frame.to_plane(x)
+    return _around(before, work.frame, threads, x, near)
+
+
+def _around(
+    before: SimplexMesh, frame: PlaneFrame | None, threads: int, x: NDArray[Any], near: IntArray
+) -> tuple[IntArray, FloatArray]:
+    x = x if frame is None else frame.to_plane(x)
     if not before.is_surface:
         return surrounding_cells(before, x, near, threads)
     from odt_plugins.engine.surface.judge import feet_on
@@ -138,14 +145,20 @@ def around(
     return feet_on(before.points, before.cells, x)
 
 
-def locating(work: Prepared, around: Callable[..., Any]) -> Callable[..., Any]:
-    """What :func:`around` does, with coordinates in the order of the caller's corners."""
-    rows = (work.mesh if work.tangle is None else work.tangle.around).cells
-    own: Any = work.own
+def locating(work: Prepared, given: HostMesh, threads: int) -> Callable[..., Any]:
+    """What :func:`around` does, in the caller's cells, with coordinates in the order of their
+    corners; cells that were untangled are those before, with their corners where these are after.
+    """
+    before, own = work.mesh, work.own
+    if work.tangle is not None:
+        before = work.tangle.before
+        before = replace(before, points=work.tangle.after.points[: len(before.points)])
+    caller = given.cells if own is None else given.cells[own]
 
     def locate(x: NDArray[Any], near: IntArray) -> tuple[NDArray[Any], FloatArray]:
         near = near if own is None else np.searchsorted(own[:-1], near).astype(near.dtype)
-        cell, weights = in_order_of(work.host.cells, rows, *around(x, near))
+        cell, weights = in_order_of(
+            caller, before.cells, *_around(before, work.frame, threads, x, near))
         return cell if own is None else own[cell], weights
 
     return locate

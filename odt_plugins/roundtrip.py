@@ -207,11 +207,11 @@ def run_engine(
         points, as_indices(cells, work.host.cells), source, work.mesh.is_surface,
         feet_of(work.host, work.mesh, places, cells, outcome.origin),
         data.vertices if not work.host.higher_order else None,
-        locate=locating(work, near) if fields else None, same=same, of_cells=data.of_cells,
-        faces=faces,
+        locate=locating(work, given, options.threads) if fields else None, same=same,
+        of_cells=data.of_cells, faces=faces,
     )
     if given.higher_order and not work.host.higher_order:
-        result, flatter = elevated(result, given, locating(work, near),
+        result, flatter = elevated(result, given, locating(work, given, options.threads),
                                     bent and middles(bent, outcome, work.frame))
         told["notes"] += note_on_flatter(flatter)
     out = work.adapter.write(result, given)
