@@ -30,14 +30,15 @@ def on_smooth(outcome: Outcome, smooth: Smooth) -> tuple[Outcome, tuple[str, ...
     """
     start, way = outcome.points, smooth.put(outcome) - outcome.points
     share = np.zeros(len(start), dtype=np.intp)
-    points = start + way
     for _ in range(len(SHARES) * len(start)):
+        gone = np.array(SHARES)[share][:, None] * way
+        # -0.0 of what stays would become 0.0
+        points = np.where(gone != 0.0, start + gone, start)
         folded = np.unique(outcome.cells[~(signed_volumes(points, outcome.cells) > 0.0)])
         more = folded[share[folded] < len(SHARES) - 1]
         if not len(more):
             break
         share[more] += 1
-        points = start + np.array(SHARES)[share][:, None] * way
     off = int(((share > 0) & (way != 0.0).any(axis=1)).sum())
     notes = (f"{counted(off, 'vertex', 'vertices')} of the surface are not on the geometry, since "
              f"cells would fold there",) if off else ()
