@@ -37,7 +37,8 @@ def has_parts(mesh: object) -> bool:
 
 
 def run_parts(
-    mesh: Any, options: Mapping[str, Any], one: Callable[..., tuple[Any, Any]]
+    mesh: Any, options: Mapping[str, Any], one: Callable[..., tuple[Any, Any]],
+    *, slides: bool = False,
 ) -> tuple[Any, list[Any]]:
     """Optimise every part of an object by itself.
 
@@ -46,6 +47,8 @@ def run_parts(
     mesh : object      of which :func:`has_parts` is true
     options : dict
     one : callable     optimises a part with options: its result and report
+    slides : bool      whether boundaries slide unless options say; then those of parts that touch
+                       stay
 
     Returns
     -------
@@ -77,7 +80,8 @@ def run_parts(
     results, reports = [], []
     with telling(options.get("progress"), "preparing") as progress:
         for i, name in enumerate(names.values()):
-            told: dict[str, Any] = {}
+            stays = slides and i in touch and "boundary" not in options
+            told: dict[str, Any] = {"boundary": "fixed"} if stays else {}
             if options.get("progress"):
                 told["progress"] = part(progress, i / len(parts), (i + 1) / len(parts))
             held = rims.get(i)
@@ -85,6 +89,10 @@ def run_parts(
                 told["fixed"] = held | _named(whole.PART, name, vertex_mask, options.get("fixed"),
                                               len(held), "fixed", "vertices")
             result, report = _named(whole.PART, name, one, parts[i], **{**options, **told})
+            if stays:
+                note = (f"the boundary stays, since this {whole.PART} touches another one; try "
+                        f"{whole.TOGETHER}")
+                report = replace(report, notes=(*report.notes, note))
             if held is not None:
                 count = counted(int(held.sum()), "vertex", "vertices")
                 note = f"{count} at the rim of another {whole.PART} stay, so that it stays there"
@@ -103,7 +111,7 @@ def _named(kind: str, name: str, call: Callable[..., Any], *given: Any, **option
         raise type(exc)(msg) from exc
 
 
-def _shared(shown: Sequence[_Shown]) -> tuple[bool, dict[int, NDArray[np.bool_]]]:
+def _shared(shown: Sequence[_Shown]) -> tuple[set[int], dict[int, NDArray[np.bool_]]]:
     """Find the places that several parts share.
 
     Parameters
@@ -112,17 +120,17 @@ def _shared(shown: Sequence[_Shown]) -> tuple[bool, dict[int, NDArray[np.bool_]]
 
     Returns
     -------
-    touch : bool              whether there are such places
+    touch : set of int        numbers of the parts with such places
     rims : dict of (n,) bool  by the number of the part its vertices at such places where the
                               surface of another part ends and its own does not, if it has any
     """
     if len(shown) < 2:
-        return False, {}
+        return set(), {}
     places = np.concatenate([some.places for some in shown])
     low, high = places.min(axis=0), places.max(axis=0)
     size = math.sqrt(float(((high - low) ** 2).sum()))
     if not np.isfinite(size) or size == 0.0:
-        return False, {}
+        return set(), {}
     rows = np.rint((places - low) / (GRID * size)).astype(np.int64)
     at = np.unique(rows, axis=0, return_inverse=True)[1].ravel()
     ends = np.cumsum([len(some.places) for some in shown])
@@ -144,4 +152,5 @@ def _shared(shown: Sequence[_Shown]) -> tuple[bool, dict[int, NDArray[np.bool_]]
         mask = (ends_there & ~rim)[piece] | held.get(some.number, np.zeros(len(piece), np.bool_))
         if mask.any():
             held[some.number] = mask
-    return bool((seen > 1).any()), held
+    touch = {some.number for some, piece in zip(shown, own, strict=True) if (seen[piece] > 1).any()}
+    return touch, held

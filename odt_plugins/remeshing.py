@@ -73,9 +73,10 @@ def remesh(
                               The fields of :class:`odt_plugins.Options`, but `insert` and
                               `density`. The default of `boundary` is "slide" here: vertices of the
                               boundary, of interfaces between regions and of feature lines are
-                              moved, added and removed within `envelope`, corners stay; with "fixed"
-                              all of these stay bit for bit. Figures named in `keep` do not fall;
-                              unless some are named, good ones may fall as far as to good ones
+                              moved, added and removed within `envelope`, corners stay; with
+                              "fixed", and by default of parts that touch, all of these stay bit for
+                              bit. Figures named in `keep` do not fall; unless some are named, good
+                              ones may fall as far as to good ones
 
     Returns
     -------
@@ -107,7 +108,7 @@ def remesh(
                               "growth": growth, "most_cells": most_cells, "adapt": adapt}
     if has_parts(mesh):
         one = partial(remesh_with_report, size=size, **wishes)
-        return run_parts(mesh, {"boundary": "slide", **options}, one)[0]
+        return run_parts(mesh, options, one, slides=True)[0]
     return _run(mesh, size, wishes, _checked(options))[0]
 
 
@@ -132,7 +133,7 @@ def remesh_with_report(
                               "growth": growth, "most_cells": most_cells, "adapt": adapt}
     if has_parts(mesh):
         one = partial(remesh_with_report, size=size, **wishes)
-        whole, reports = run_parts(mesh, {"boundary": "slide", **options}, one)
+        whole, reports = run_parts(mesh, options, one, slides=True)
         return whole, report_of_parts(reports)
     chosen = _checked(options)
     result, before, outcome, told = _run(mesh, size, wishes, chosen)

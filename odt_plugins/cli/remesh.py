@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from odt_plugins.cli.flags import size_flags, some_option_flags, take_sizes
+from odt_plugins.cli.flags import given, size_flags, some_option_flags, take_sizes
 from odt_plugins.cli.named import resolve_arrays
 from odt_plugins.cli.terminal import (
     check_paths,
@@ -41,6 +41,8 @@ def remesh(
     """
     check_paths(target, report_file, None)
     sizes = take_sizes(options)
+    if not given("boundary"):
+        del options["boundary"]
     options = resolve_arrays(source, options)
     from odt_plugins.adapters.files import check_output, read_file, write_file
     from odt_plugins.remeshing import remesh_with_report

@@ -118,17 +118,19 @@ def test_the_command_line_reports_on_each_geometry(scene, tmp_path, capsys):
     assert capsys.readouterr().out.count("ended") == 2
 
 
-@pytest.mark.parametrize("words", [["optimize", "--boundary", "slide"], ["remesh", "--scale", "1"]])
+@pytest.mark.parametrize("words", [["optimize"], ["remesh", "--scale", "1"]])
 def test_commands_say_what_to_do_with_a_file_whose_geometries_touch(words, tmp_path, capsys):
     boxes = [trimesh.creation.box() for _ in range(2)]
     boxes[1].apply_translation([1, 0, 0])
     made = trimesh.Scene(boxes)
     made.export(tmp_path / "a.glb")
     command, *flags = words
-    assert main([command, str(tmp_path / "a.glb"), str(tmp_path / "b.glb"), *flags]) == 2
+    assert main([command, str(tmp_path / "a.glb"), str(tmp_path / "b.glb"), *flags,
+                 "--boundary", "slide"]) == 2
     said = capsys.readouterr().err
     assert "expected --boundary fixed, try an INPUT whose geometries are joined to one" in said
     assert not (tmp_path / "b.glb").exists()
+    assert main([command, str(tmp_path / "a.glb"), str(tmp_path / "b.glb"), *flags]) == 0
 
 
 def held_json(path):

@@ -128,7 +128,28 @@ def test_pyvista_with_arrays_named_texture_and_blocks(ball):
         mesh.odt.remesh("k")
     touching = pyvista.MultiBlock([mesh, mesh.copy()])
     with pytest.raises(InvalidOptionError, match="would come apart"):
-        touching.odt.remesh(SIZE)
+        touching.odt.remesh(SIZE, boundary="slide")
+
+
+def test_parts_that_touch_still_meet_and_others_slide():
+    """Two halves of a ball meet along a circle, on which no edge is split, and one lies apart."""
+    ball = trimesh.creation.icosphere(2)
+    up = ball.triangles_center[:, 2] > 0.1
+    halves = [ball.submesh([np.flatnonzero(side)], append=True) for side in (up, ~up)]
+    given = [*halves, halves[0].copy().apply_translation([5, 0, 0])]
+    out, report = odt_plugins.remesh_with_report(trimesh.Scene(given), scale=0.5, envelope=0.01)
+    new = list(out.geometry.values())
+    assert all(len(b.faces) > 1.5 * len(a.faces) for a, b in zip(given, new, strict=True))
+    joined = trimesh.Trimesh(
+        np.concatenate([part.triangles.reshape(-1, 3) for part in new[:2]]),
+        np.arange(3 * sum(len(part.faces) for part in new[:2])).reshape(-1, 3))
+    assert joined.is_watertight
+    told = ["boundary stays, since this geometry touches" in str(part) for part in report.parts]
+    assert told == [True, True, False]
+    edges = [np.unique(part.edges_sorted, axis=0, return_counts=True)[1]
+             for part in (given[2], new[2], new[0])]
+    rims = [(times == 1).sum() for times in edges]
+    assert rims[1] > rims[0] == rims[2]
 
 
 def test_the_texture_of_triangles_that_came_is_that_under_them():
