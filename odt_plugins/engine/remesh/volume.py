@@ -34,7 +34,8 @@ from odt_plugins.engine.remesh.simplices import make_simplices
 from odt_plugins.engine.remesh.sizes import cells_of_sizes, unique_edges
 from odt_plugins.engine.remesh.split import split_edges
 from odt_plugins.engine.topology.complex import make_complex
-from odt_plugins.mesh.arrays import FloatArray, IntArray
+from odt_plugins.engine.topology.star import star_sum
+from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.mesh.chunks import Pool
 from odt_plugins.options import Options
 
@@ -56,6 +57,9 @@ LONG, SHORT = 4.0 / 3.0, 4.0 / 5.0
 
 SWEEPS = 3
 """Sweeps over the surface in a round, and rounds of ODT inside."""
+
+FLAT = 1e-10
+"""Part by which vector areas around a vertex add up to less than areas do where all is flat."""
 
 FEW = 2e-3
 """Passes end with one that changed less than this part of the edges that were looked at."""
@@ -244,11 +248,30 @@ def _relax(work: Resizing) -> int:
     n = int(work.body.used[0])
     kind = work.body.kind[:n]
     order = np.flatnonzero((kind == PATCH) | (kind == LINE)).astype(np.int32)
-    most = OFF * float(work.guard.limits[0])
-    offset = np.clip(work.guard.offsets(), -most, most)
+    most, (flat, share) = OFF * float(work.guard.limits[0]), _flat(work)
+    offset = work.guard.offsets()
+    offset = np.clip(np.divide(offset, share, out=np.zeros(len(offset)), where=share > 0.0),
+                     -most, most)
     return sum(
-        int(relax_surface(work.body, work.guard, order[first:last], offset, work.scratch))
-               for first, last in pieces(0, len(order)))
+        int(relax_surface(work.body, work.guard, here[first:last], out, work.scratch))
+        for here, out in ((order[flat[order]], 0.0 * offset), (order[~flat[order]], offset))
+        for first, last in pieces(0, len(here)))
+
+
+def _flat(work: Resizing) -> tuple[BoolArray, FloatArray]:
+    """Vertices (n,) of patches around which these are flat, and parts (patches,) that are not."""
+    body, n, count = work.body, int(work.body.used[0]), len(work.guard.area)
+    live = body.triangles.live()
+    rows, tag = body.triangles.rows[live], body.triangles.tag[live]
+    a, b, c = (body.points[rows[:, i], :3] for i in range(3))
+    normal = np.cross(b - a, c - a)
+    area = np.sqrt((normal * normal).sum(axis=1))
+    around = star_sum(normal, rows, n)
+    flat = (body.kind[:n] == PATCH) & (
+        np.sqrt((around * around).sum(axis=1)) >= (1.0 - FLAT) * star_sum(area, rows, n))
+    whole = np.bincount(tag, area, count)
+    bent = np.bincount(tag, area * (~flat[rows]).mean(axis=1), count)
+    return flat, np.divide(bent, whole, out=np.zeros(count), where=whole > 0.0)
 
 
 def arrays_of(body: Body) -> tuple[FloatArray, IntArray, IntArray]:

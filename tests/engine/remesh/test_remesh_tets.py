@@ -81,6 +81,19 @@ def test_a_box_with_other_sizes_is_the_same_box(box, resized):
     assert all((points == corner).all(axis=1).any() for corner in corners)
 
 
+@pytest.mark.parametrize("scale", [0.8, 1.6])
+def test_the_flat_ends_of_a_cylinder_stay_flat_where_volume_is_to_be_given_back(scale):
+    points, cells = boxes.box(3, 8)
+    u, v = 2.0 * points[:, 0] - 1.0, 2.0 * points[:, 1] - 1.0
+    points = np.stack([u * np.sqrt(1.0 - 0.5 * v * v), v * np.sqrt(1.0 - 0.5 * u * u),
+                       points[:, 2]], axis=1)
+    new, rows = odt_plugins.remesh((points, cells), scale=scale, envelope=0.03, free="periodic")
+    height = new[np.unique(facets_once(rows)), 2]
+    near = np.minimum(np.abs(height), np.abs(height - 1.0))
+    assert near[near < 0.03].max() < 1e-14
+    assert volumes(new, rows).sum() == pytest.approx(volumes(points, cells).sum(), rel=2e-3)
+
+
 def test_edges_have_the_length_that_is_asked_for(resized):
     size, (points, cells) = resized
     assert share_in(edge_lengths(points, cells), size) > 0.9
