@@ -208,3 +208,30 @@ def test_colours_of_bytes_behind_normals_of_off_stay_bytes(ball, scale, tmp_path
     meshes = pymeshlab.MeshSet()
     meshes.load_new_mesh(str(tmp_path / "b.off"))
     assert meshes.current_mesh().vertex_number() == len(back.points)
+
+
+@pytest.mark.parametrize("scale", [None, 0.7])
+@pytest.mark.parametrize("head", ["STCNOFF", "STCOFF", "STOFF"])
+def test_texture_of_off_is_no_colour(ball, head, scale, tmp_path):
+    points, cells = ball
+    inside = [points] * ("N" in head) + [in_bytes(points)] * ("C" in head)
+    parts = [points, *inside, 0.5 * points[:, :2]]
+    lines = [head, f"{len(points)} {len(cells)} 0"]
+    lines += [" ".join(str(x) for part in parts for x in part[i].tolist())
+              for i in range(len(points))]
+    lines += ["3 {} {} {}".format(*c) for c in cells.tolist()]
+    (tmp_path / "a.off").write_text("\n".join(lines) + "\n")
+    mesh = read_file(tmp_path / "a.off")
+    made = odt_plugins.optimize(mesh) if scale is None else odt_plugins.remesh(mesh, scale=scale)
+    write_file(tmp_path / "b.off", made)
+    other = meshio.Mesh(made.points, made.cells, {
+        key: made.point_data[key] for key in made.point_data if key.startswith("off:")})
+    write_file(tmp_path / "c.off", other)
+    for name in "bc":
+        text = (tmp_path / f"{name}.off").read_text()
+        assert text.startswith(head if name == "b" else head.replace("N", ""))
+        back = read_file(tmp_path / f"{name}.off")
+        assert np.array_equal(back.point_data["off:texture"], made.point_data["off:texture"])
+        assert ("off:colour" in back.point_data) == ("C" in head)
+        if "C" in head:
+            assert back.point_data["off:colour"].dtype == np.uint8

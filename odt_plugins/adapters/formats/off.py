@@ -1,8 +1,9 @@
-"""OFF files of text: comments, colours of vertices and of faces, polygons beside triangles."""
+"""OFF files of text: comments, colours and texture of vertices, colours of faces, polygons."""
 
 from __future__ import annotations
 
 import re
+from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,6 +15,9 @@ from odt_plugins.errors import MeshFileError
 
 COLOURS = "off:colour"
 """Array of what a file has behind the coordinates of a vertex, or behind the corners of a face."""
+
+TEXTURE = "off:texture"
+"""Array of the two texture coordinates of vertices, which stand last."""
 
 KIND = re.compile(rb"((?:ST|C|N)*)OFF$")
 """Headers of files that can be read: texture, colours and normals of vertices."""
@@ -27,6 +31,7 @@ class _Lines(NamedTuple):
     lines : list of bytes
     vertices, faces : list of int    number of the line of each
     normals : int or None            first word of the normal of a vertex
+    textured : bool                  whether its last two words are texture coordinates
     counts : (int, int)              line of the numbers of vertices and faces, and their first word
     """
 
@@ -34,6 +39,7 @@ class _Lines(NamedTuple):
     vertices: list[int]
     faces: list[int]
     normals: int | None
+    textured: bool
     counts: tuple[int, int]
 
 
@@ -63,9 +69,12 @@ def read(path: Path) -> Any:
         first = found.normals + 3
         normals = np.array([w[found.normals: first] for w in words], dtype=np.bytes_)
         mesh.point_data["Normals"] = normals.astype(np.float64).reshape(-1, 3)
-    behind = _table([w[first:] for w in words])
+    last = -2 if found.textured else None
+    behind = _table([w[first:last] for w in words])
     if behind is not None:
         mesh.point_data[COLOURS] = behind
+    if found.textured:
+        mesh.point_data[TEXTURE] = np.array([w[-2:] for w in words], np.bytes_).astype(np.float64)
     colours = [_table([rows[i][1 + sizes[i]:] for i in chosen]) for chosen in order]
     if colours and all(part is not None for part in colours):
         mesh.cell_data[COLOURS] = colours
@@ -76,11 +85,10 @@ def write(path: Path, mesh: Any, binary: bool | None) -> list[str]:
     """Write a mesh, with the colours of its vertices and of its cells."""
     points = np.asarray(mesh.points, dtype=np.float64)
     colours = mesh.cell_data.get(COLOURS, [None] * len(mesh.cells))
-    behind = mesh.point_data.get(COLOURS)
-    head = "OFF" if behind is None else "COFF"
+    head = "ST" * (TEXTURE in mesh.point_data) + "C" * (COLOURS in mesh.point_data) + "OFF"
     count = sum(len(block.data) for block in mesh.cells)
     lines = [head, f"{len(points)} {count} 0"]
-    told = _texts(behind) or [[]] * len(points)
+    told = _behind(mesh) or [[]] * len(points)
     lines += [" ".join([*map(repr, place), *words])
               for place, words in zip(points.tolist(), told, strict=True)]
     for block, values in zip(mesh.cells, colours, strict=True):
@@ -107,7 +115,7 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
             span = range(found.normals, found.normals + 3)
             lines[at] = _replaced(lines[at], span, [f"{x:.9g}" for x in normal])
     first = 3 if found.normals is None else found.normals + 3
-    old, new = (_texts(mesh.point_data.get(COLOURS)) for mesh in (change.before, change.after))
+    old, new = _behind(change.before), _behind(change.after)
     for at, was, now in zip(found.vertices, old, new, strict=False):
         if was != now:
             lines[at] = _replaced(lines[at], range(first, first + len(now)), now)
@@ -141,8 +149,7 @@ def _with_others(found: _Lines, target: Path, change: Change) -> list[str]:
     points, moved = np.asarray(after.points).tolist(), change.moved.tolist()
     first = 3 if found.normals is None else found.normals + 3
     normals = None if found.normals is None else np.asarray(after.point_data["Normals"]).tolist()
-    texts = _texts(after.point_data.get(COLOURS))
-    old = _texts(before.point_data.get(COLOURS))
+    texts, old = _behind(after), _behind(before)
     vertices = []
     for v, source in enumerate(change.points.tolist()):
         line = lines[found.vertices[source]] if source >= 0 else b""
@@ -167,7 +174,7 @@ def _with_others(found: _Lines, target: Path, change: Change) -> list[str]:
             line = _replaced(lines[found.faces[rows[row]]], range(1, 1 + len(new)), new)
             faces.append(_ended(line, end))
     behind = any(len(_words(lines[at])) > first for at in found.vertices)
-    lost = COLOURS not in before.point_data and behind and bool((change.points < 0).any())
+    lost = not _behind(before) and behind and bool((change.points < 0).any())
     at, word = found.counts
     counts = [str(len(vertices)), str(len(faces)), "0"][: len(_words(lines[at])) - word]
     lines[at] = _replaced(lines[at], range(word, word + len(counts)), counts)
@@ -184,6 +191,13 @@ def _order(found: _Lines, change: Change) -> list[Any]:
     rows = [_words(found.lines[at]) for at in found.faces]
     faces = [[int(x) for x in row[1: 1 + int(row[0])]] for row in rows]
     return as_mesh(np.asarray(change.before.points), faces)[1]
+
+
+def _behind(mesh: Any) -> list[list[str]]:
+    """What stands behind the places and normals of vertices as words; none of no array."""
+    found = [_texts(mesh.point_data[name]) for name in (COLOURS, TEXTURE)
+             if name in mesh.point_data]
+    return [[*chain(*parts)] for parts in zip(*found, strict=True)]
 
 
 def _texts(values: Any) -> list[list[str]]:
@@ -221,7 +235,9 @@ def _lines(data: bytes) -> _Lines:
         raise MeshFileError(msg)
     at = (full[start - 1], 1 if start == 1 else 0)
     has = b"N" in kind[1] and all(len(_words(lines[i])) > 5 for i in rest[:n])
-    return _Lines(lines, rest[:n], rest[n: n + m], 3 if has else None, at)
+    least = (6 if has else 3) + 2
+    textured = b"ST" in kind[1] and all(len(_words(lines[i])) >= least for i in rest[:n])
+    return _Lines(lines, rest[:n], rest[n: n + m], 3 if has else None, textured, at)
 
 
 def _words(line: bytes) -> list[bytes]:
