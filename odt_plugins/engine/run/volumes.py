@@ -74,6 +74,8 @@ def volume_share(
 ) -> float:
     """Part of the allowed change of the volume that may be lost, since it can be given back.
 
+    All of it may be lost in one region, which then has to give it back.
+
     Parameters
     ----------
     mesh : SimplexMesh     before its boundary slides
@@ -83,9 +85,14 @@ def volume_share(
     """
     found = _heights(mesh.points, mesh.cells, ~locked, mesh.lines, options,
                      _reach(mesh, options))
-    allowed = POLICY.slide_volume * float(signed_volumes(mesh.points, mesh.cells).sum())
-    more = abs(float((found.most * found.gain).sum()))
-    return max(least, min(MOST, least + SURE * more / allowed))
+    own, region = _numbered(mesh.bodies(), mesh.cells, len(mesh.points))
+    at = region[found.vertices]
+    if not len(at):
+        return least
+    allowed = POLICY.slide_volume * np.bincount(own, signed_volumes(mesh.points, mesh.cells))
+    more = np.abs(np.bincount(at, found.most * found.gain, len(allowed)))
+    one = (least * allowed + SURE * more)[at].min()
+    return max(least, min(MOST, float(one / allowed.sum())))
 
 
 def with_volumes(mesh: SimplexMesh, outcome: Outcome, options: Options) -> Outcome:
@@ -178,19 +185,25 @@ def _gone_out(mesh: SimplexMesh, outcome: Outcome, found: Heights) -> FloatArray
     """Points where vertices went out, or in where regions have gained, until these have the
     volumes of a mesh: of a region all that help, by one part of their heights.
     """
-    lacks = _lacking(mesh, outcome, outcome.points)
-    region = np.zeros(len(outcome.points), dtype=np.intp)
-    region[outcome.cells] = np.unique(mesh.bodies(outcome.regions), return_inverse=True)[1][:, None]
-    at = region[found.vertices]
+    points, lacks = outcome.points.copy(), _lacking(mesh, outcome, outcome.points)
+    at = _numbered(mesh.bodies(outcome.regions), outcome.cells, len(points))[1][found.vertices]
     most = np.where(found.gain * lacks[at] > 0.0, found.most, 0.0)
     gain = np.bincount(at, np.where(most > 0.0, found.gain, 0.0), len(lacks))
-    points, share = outcome.points.copy(), np.zeros(len(lacks))
+    share = np.zeros(len(lacks))
     for _ in range(STEPS):
         share += np.divide(lacks, gain, out=np.zeros(len(lacks)), where=gain != 0.0)
         part = np.clip(share[at], 0.0, most)
         points[found.vertices] = outcome.points[found.vertices] + part[:, None] * found.way
         lacks = _lacking(mesh, outcome, points)
     return points
+
+
+def _numbered(labels: IntArray, cells: IntArray, n: int) -> tuple[LongArray, LongArray]:
+    """Number of the region of each of the cells, and of each of n vertices inside of one."""
+    own = np.unique(labels, return_inverse=True)[1]
+    out = np.zeros(n, dtype=np.intp)
+    out[cells] = own[:, None]
+    return own, out
 
 
 def _lacking(mesh: SimplexMesh, outcome: Outcome, points: FloatArray) -> FloatArray:
