@@ -100,7 +100,7 @@ def finished(
 
     def once(first: float, last: float, insert: float) -> Outcome:
         some = replace(options, insert=insert or False, progress=part(report, first, last))
-        return run(middle, some, as_it_leaves, within=Within(share=SLIDING))
+        return run(middle, some, as_it_leaves, within=Within(share=SLIDING, sized=mesh))
 
     report = options.progress or silent
     if _may_insert(middle, options):

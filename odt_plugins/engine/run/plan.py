@@ -166,7 +166,8 @@ def _judged(work: Work, leaving: Leaving, state: State) -> tuple[Outcome, list[s
     if work.slides:
         from odt_plugins.engine.run.volumes import with_volumes
 
-        outcome = with_volumes(start.mesh, outcome, work.options)
+        outcome = with_volumes(
+            start.mesh, outcome, work.options, work.within.sized or start.mesh)
     outcome = leaving(outcome)
     broken, slid = faults(
         start.mesh, outcome.points, outcome.cells, outcome.regions, work.options, outcome.origin,

@@ -95,24 +95,29 @@ def volume_share(
     return max(least, min(MOST, float(one / allowed.sum())))
 
 
-def with_volumes(mesh: SimplexMesh, outcome: Outcome, options: Options) -> Outcome:
-    """Give regions the volumes of a mesh again, as far as vertices may go.
+def with_volumes(
+    mesh: SimplexMesh, outcome: Outcome, options: Options, goal: SimplexMesh
+) -> Outcome:
+    """Give regions the volumes that they are to have, as far as vertices may go.
 
     Parameters
     ----------
     mesh : SimplexMesh
     outcome : Outcome     of the mesh, whose boundary slid
+    goal : SimplexMesh    whose regions have these volumes
 
     Returns
     -------
     Outcome               all of a region went out by one part of their heights, so that what is
                           flat stays flat; no cell at these vertices passes the extremes that those
-                          had
+                          had; the same where a region is gone
     """
-    points = _restored(mesh, outcome, options, _reach(mesh, options))
-    lacked = _lacking(mesh, outcome, outcome.points)
-    if (np.abs(_lacking(mesh, outcome, points)) > NEARLY * np.abs(lacked)).any():
-        points = _restored(mesh, outcome, options, _left(mesh, outcome, options))
+    if not np.array_equal(np.unique(goal.bodies()), np.unique(goal.bodies(outcome.regions))):
+        return outcome
+    points = _restored(mesh, outcome, options, goal, _reach(mesh, options))
+    lacked = _lacking(goal, outcome, outcome.points)
+    if (np.abs(_lacking(goal, outcome, points)) > NEARLY * np.abs(lacked)).any():
+        points = _restored(mesh, outcome, options, goal, _left(mesh, outcome, options))
     return replace(outcome, points=points)
 
 
@@ -133,7 +138,7 @@ def _left(mesh: SimplexMesh, outcome: Outcome, options: Options) -> float:
 
 
 def _restored(
-    mesh: SimplexMesh, outcome: Outcome, options: Options, reach: float
+    mesh: SimplexMesh, outcome: Outcome, options: Options, goal: SimplexMesh, reach: float
 ) -> FloatArray:
     """Points where the vertices that slid went out; where cells would be spoiled they stay."""
     origin = np.arange(len(outcome.points)) if outcome.origin is None else outcome.origin
@@ -149,7 +154,7 @@ def _restored(
 
     worst = shapes(outcome.points).max(axis=0)
     for _ in range(TURNS):
-        points = _gone_out(mesh, outcome, found)
+        points = _gone_out(goal, outcome, found)
         spoiled = (shapes(points) > worst).any(axis=1)
         if not spoiled.any():
             return points
@@ -181,12 +186,12 @@ def _heights(
     return Heights(free, way, height / 6.0, np.minimum(HIGHER, most))
 
 
-def _gone_out(mesh: SimplexMesh, outcome: Outcome, found: Heights) -> FloatArray:
+def _gone_out(goal: SimplexMesh, outcome: Outcome, found: Heights) -> FloatArray:
     """Points where vertices went out, or in where regions have gained, until these have the
     volumes of a mesh: of a region all that help, by one part of their heights.
     """
-    points, lacks = outcome.points.copy(), _lacking(mesh, outcome, outcome.points)
-    at = _numbered(mesh.bodies(outcome.regions), outcome.cells, len(points))[1][found.vertices]
+    points, lacks = outcome.points.copy(), _lacking(goal, outcome, outcome.points)
+    at = _numbered(goal.bodies(outcome.regions), outcome.cells, len(points))[1][found.vertices]
     most = np.where(found.gain * lacks[at] > 0.0, found.most, 0.0)
     gain = np.bincount(at, np.where(most > 0.0, found.gain, 0.0), len(lacks))
     share = np.zeros(len(lacks))
@@ -194,7 +199,7 @@ def _gone_out(mesh: SimplexMesh, outcome: Outcome, found: Heights) -> FloatArray
         share += np.divide(lacks, gain, out=np.zeros(len(lacks)), where=gain != 0.0)
         part = np.clip(share[at], 0.0, most)
         points[found.vertices] = outcome.points[found.vertices] + part[:, None] * found.way
-        lacks = _lacking(mesh, outcome, points)
+        lacks = _lacking(goal, outcome, points)
     return points
 
 
@@ -206,10 +211,10 @@ def _numbered(labels: IntArray, cells: IntArray, n: int) -> tuple[LongArray, Lon
     return own, out
 
 
-def _lacking(mesh: SimplexMesh, outcome: Outcome, points: FloatArray) -> FloatArray:
+def _lacking(goal: SimplexMesh, outcome: Outcome, points: FloatArray) -> FloatArray:
     """Volumes that regions lack, in order of their labels, where vertices are at ``points``."""
-    labels, own = np.unique(mesh.bodies(outcome.regions), return_inverse=True)
-    was = np.bincount(np.searchsorted(labels, mesh.bodies()),
-                      signed_volumes(mesh.points, mesh.cells), len(labels))
+    labels, own = np.unique(goal.bodies(outcome.regions), return_inverse=True)
+    was = np.bincount(np.searchsorted(labels, goal.bodies()),
+                      signed_volumes(goal.points, goal.cells), len(labels))
     now = np.bincount(own, signed_volumes(points, outcome.cells), len(labels))
     return np.asarray(was - now)

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from odt_plugins.engine.record.figures import Figures
 from odt_plugins.mesh.arrays import BoolArray, IntArray
+from odt_plugins.mesh.simplex import SimplexMesh
 
 
 class Within(NamedTuple):
@@ -22,6 +23,8 @@ class Within(NamedTuple):
                                   slide
     share : float                 part of the allowed change of the volume that a boundary that
                                   slides may use, where none of it can be given back
+    sized : SimplexMesh or None   one with the volumes that regions are to have where the boundary
+                                  slides; those of the mesh itself unless given
     fresh : (n,) bool or None     vertices that no run has moved yet, when others were: stage 1
                                   works around these, where finishing follows and the boundary does
                                   not slide
@@ -34,6 +37,7 @@ class Within(NamedTuple):
     whole: Figures | None = None
     without: Container[str] = frozenset()
     share: float = 1.0
+    sized: SimplexMesh | None = None
     fresh: BoolArray | None = None
     part: float = 1.0
 
