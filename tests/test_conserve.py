@@ -272,7 +272,7 @@ def test_a_ball_that_slides_keeps_integrals_and_zeros():
     left = (points[cells].mean(axis=1)[:, 0] < -0.2) * 1.0
     mesh = meshio.Mesh(points, [("tetra", cells)], cell_data={"left": [left]},
                        point_data={"even": np.full(len(points), 2.0)})
-    out = odt_plugins.remesh(mesh, scale=1.2, envelope=0.02, fields="conserve", regions=None)
+    out = odt_plugins.remesh(mesh, scale=1.2, envelope=0.005, fields="conserve", regions=None)
     now, nothing = (out.points, out.cells[0].data), np.zeros(len(out.cells[0].data), dtype=int)
     old = (points, cells), nothing[:1].repeat(len(cells))
     new_left, even = out.cell_data["left"][0], out.point_data["even"]

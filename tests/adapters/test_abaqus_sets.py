@@ -42,8 +42,11 @@ def written(source, target, scale):
 
 def elements(text):
     """Places of the corners of the elements of a deck, or of a part of one, by their numbers."""
-    nodes, found = {}, {}
+    nodes, found, of_set = {}, {}, False
     for row in (line.split(",") for line in text.splitlines()):
+        of_set = row[0] in ("*ELSET", "*NSET") if row[0].startswith("*") else of_set
+        if of_set:
+            continue
         if len(row) == 4 and "." in row[1]:
             nodes[int(row[0])] = [float(word) for word in row[1:]]
         elif len(row) == 5 and row[0].isdigit():
