@@ -8,20 +8,11 @@ import warnings
 import meshio
 import numpy as np
 import pytest
-from boxes import FACES, box, quadratic
+from boxes import FACES, box, quadratic, rim
 
 from odt_plugins.adapters.files import read_file, write_file
 from odt_plugins.api import optimize_file
 from odt_plugins.errors import DataNotKeptWarning, MeshFileError
-
-
-def rim(cells):
-    """Faces of one cell only."""
-    faces = FACES if cells.shape[1] == 4 else [[0, 1], [1, 2], [2, 0]]
-    rows = cells[:, faces].reshape(-1, len(faces[0]))
-    _, place, count = np.unique(np.sort(rows, axis=1), axis=0, return_inverse=True,
-                                return_counts=True)
-    return rows[count[place.ravel()] == 1]
 
 
 def volumes(points, cells):

@@ -9,7 +9,7 @@ import warnings
 import meshio
 import numpy as np
 import pytest
-from boxes import FACES, box
+from boxes import box, rim
 
 from odt_plugins import remesh
 from odt_plugins.adapters.files import read_file, write_file
@@ -22,14 +22,6 @@ TETGEN = [[2, 3], [0, 3], [0, 1], [1, 2], [1, 3], [0, 2]]
 TRIANGLE = [[1, 2], [2, 0], [0, 1]]
 
 MIDDLES = [[0, 1], [1, 2], [2, 0], [0, 3], [1, 3], [2, 3]]
-
-
-def rim(cells):
-    faces = FACES if cells.shape[1] == 4 else [[0, 1], [1, 2], [2, 0]]
-    rows = cells[:, faces].reshape(-1, len(faces[0]))
-    _, place, count = np.unique(np.sort(rows, axis=1), axis=0, return_inverse=True,
-                                return_counts=True)
-    return rows[count[place.ravel()] == 1]
 
 
 def raised(points, rows, edges):

@@ -19,6 +19,15 @@ def box(dim, n, *, plane=None, seed=4):
     return points, cells
 
 
+def rim(cells):
+    """Faces of one cell only."""
+    faces = FACES if cells.shape[1] == 4 else [[0, 1], [1, 2], [2, 0]]
+    rows = cells[:, faces].reshape(-1, len(faces[0]))
+    _, place, count = np.unique(np.sort(rows, axis=1), axis=0, return_inverse=True,
+                                return_counts=True)
+    return rows[count[place.ravel()] == 1]
+
+
 def quadratic(points, cells):
     edges = np.sort(cells[:, EDGES], axis=2).reshape(-1, 2)
     edges, place = np.unique(edges, axis=0, return_inverse=True)

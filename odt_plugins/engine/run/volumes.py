@@ -60,13 +60,37 @@ class Heights(NamedTuple):
     vertices : (k,) int64
     way : (k, 3) float64    their heights, along the mean normals of their triangles
     gain : (k,) float64     volume for the whole height
-    most : (k,) float64     largest part of it
     """
 
     vertices: LongArray
     way: FloatArray
     gain: FloatArray
-    most: FloatArray
+
+    def most(self, reach: float) -> FloatArray:
+        """Largest parts (k,) of the heights, for ways of at most the length `reach`."""
+        long = np.sqrt((self.way * self.way).sum(axis=1))
+        most = np.divide(reach, long, out=np.full(len(long), HIGHER), where=long > 0.0)
+        return np.minimum(HIGHER, most)
+
+
+class Volumes(NamedTuple):
+    """Volumes that regions are to have.
+
+    Attributes
+    ----------
+    cells : (m, 4) int32
+    own : (m,) int64         number of the region of every cell
+    goal : (r,) float64
+    """
+
+    cells: IntArray
+    own: LongArray
+    goal: FloatArray
+
+    def lacking(self, points: FloatArray) -> FloatArray:
+        """Volumes (r,) that regions lack where vertices are at these points."""
+        now = np.bincount(self.own, signed_volumes(points, self.cells), len(self.goal))
+        return np.asarray(self.goal - now)
 
 
 def volume_share(
@@ -83,14 +107,13 @@ def volume_share(
     locked : (n,) bool     vertices that must not move
     least : float          the part where nothing can be given back
     """
-    found = _heights(mesh.points, mesh.cells, ~locked, mesh.lines, options,
-                     _reach(mesh, options))
-    own, region = _numbered(mesh.bodies(), mesh.cells, len(mesh.points))
-    at = region[found.vertices]
-    if not len(at):
+    found = _heights(mesh.points, mesh.cells, ~locked, mesh.lines, options.feature_angle)
+    if not len(found.vertices):
         return least
+    own = np.unique(mesh.bodies(), return_inverse=True)[1]
+    at = _regions_of(found, mesh.cells, own, len(mesh.points))
     allowed = POLICY.slide_volume * np.bincount(own, signed_volumes(mesh.points, mesh.cells))
-    more = np.abs(np.bincount(at, found.most * found.gain, len(allowed)))
+    more = np.abs(np.bincount(at, found.most(_reach(mesh, options)) * found.gain, len(allowed)))
     one = (least * allowed + SURE * more)[at].min()
     return max(least, min(MOST, float(one / allowed.sum())))
 
@@ -112,12 +135,20 @@ def with_volumes(
                           flat stays flat; no cell at these vertices passes the extremes that those
                           had; the same where a region is gone
     """
-    if not np.array_equal(np.unique(goal.bodies()), np.unique(goal.bodies(outcome.regions))):
+    origin = np.arange(len(outcome.points)) if outcome.origin is None else outcome.origin
+    slid = (origin >= 0) & (outcome.points != mesh.points[origin]).any(axis=1)
+    labels, own = np.unique(goal.bodies(outcome.regions), return_inverse=True)
+    if not slid.any() or not np.array_equal(labels, np.unique(goal.bodies())):
         return outcome
-    points = _restored(mesh, outcome, options, goal, _reach(mesh, options))
-    lacked = _lacking(goal, outcome, outcome.points)
-    if (np.abs(_lacking(goal, outcome, points)) > NEARLY * np.abs(lacked)).any():
-        points = _restored(mesh, outcome, options, goal, _left(mesh, outcome, options))
+    wanted = np.bincount(
+        np.searchsorted(labels, goal.bodies()), signed_volumes(goal.points, goal.cells))
+    volumes = Volumes(outcome.cells, own, wanted.astype(np.float64))
+    lines = new_numbers(origin, len(mesh.points))[mesh.lines].astype(np.int32)
+    found = _heights(outcome.points, outcome.cells, slid, lines, options.feature_angle)
+    points = _restored(outcome, volumes, found, found.most(_reach(mesh, options)))
+    lacked = volumes.lacking(outcome.points)
+    if (np.abs(volumes.lacking(points)) > NEARLY * np.abs(lacked)).any():
+        points = _restored(outcome, volumes, found, found.most(_left(mesh, outcome, options)))
     return replace(outcome, points=points)
 
 
@@ -137,14 +168,37 @@ def _left(mesh: SimplexMesh, outcome: Outcome, options: Options) -> float:
     return max(least, (1.0 - 2.0 * TOLERANCE) * length - far)
 
 
+def _heights(
+    points: FloatArray, cells: IntArray, may: BoolArray, lines: IntArray, angle: float
+) -> Heights:
+    """Heights of the smooth ones of the vertices (n,) that may move."""
+    n, triangles = len(points), boundary_facets(cells)
+    edges, stars = surface_edges(triangles, n), vertex_stars(triangles, n)
+    features = find_features(points, triangles, edges, stars, angle=angle, fixed=~may,
+                             kept=marked_edges(edges, lines, n))
+    free = np.flatnonzero(features.kind == SMOOTH)
+    a, b, c = (points[triangles[:, i]] for i in range(3))
+    area = star_sum(np.cross(b - a, c - a), triangles, n)[free]
+    # every vertex of the ring lies on two triangles
+    ring = star_sum(a + b + c, triangles, n)[free] / np.diff(stars.indptr)[free, None]
+    height = ((points[free] - 0.5 * (ring - points[free])) * area).sum(axis=1)
+    squared = (area * area).sum(axis=1)
+    part = np.divide(height, squared, out=np.zeros(len(free)), where=squared > 0.0)
+    return Heights(free, part[:, None] * area, height / 6.0)
+
+
+def _regions_of(found: Heights, cells: IntArray, own: LongArray, n: int) -> LongArray:
+    """Number of the region that each of these vertices lies in."""
+    region = np.zeros(n, dtype=np.intp)
+    region[cells] = own[:, None]
+    at: LongArray = region[found.vertices]
+    return at
+
+
 def _restored(
-    mesh: SimplexMesh, outcome: Outcome, options: Options, goal: SimplexMesh, reach: float
+    outcome: Outcome, volumes: Volumes, found: Heights, most: FloatArray
 ) -> FloatArray:
-    """Points where the vertices that slid went out; where cells would be spoiled they stay."""
-    origin = np.arange(len(outcome.points)) if outcome.origin is None else outcome.origin
-    slid = (origin >= 0) & (outcome.points != mesh.points[origin]).any(axis=1)
-    lines = new_numbers(origin, len(mesh.points))[mesh.lines].astype(np.int32)
-    found = _heights(outcome.points, outcome.cells, slid, lines, options, reach)
+    """Points where vertices went out; where cells would be spoiled they stay."""
     touched = outcome.cells[np.isin(outcome.cells, found.vertices).any(axis=1)]
     if not len(touched):
         return outcome.points
@@ -154,67 +208,28 @@ def _restored(
 
     worst = shapes(outcome.points).max(axis=0)
     for _ in range(TURNS):
-        points = _gone_out(goal, outcome, found)
+        points = _gone_out(outcome.points, volumes, found, most)
         spoiled = (shapes(points) > worst).any(axis=1)
         if not spoiled.any():
             return points
-        stays = np.isin(found.vertices, touched[spoiled])
-        found = found._replace(most=np.where(stays, 0.0, found.most))
+        most = np.where(np.isin(found.vertices, touched[spoiled]), 0.0, most)
     return outcome.points
 
 
-def _heights(
-    points: FloatArray, cells: IntArray, may: BoolArray, lines: IntArray, options: Options,
-    reach: float,
-) -> Heights:
-    """Heights of the smooth ones of the vertices (n,) that may move."""
-    n, triangles = len(points), boundary_facets(cells)
-    edges, stars = surface_edges(triangles, n), vertex_stars(triangles, n)
-    features = find_features(points, triangles, edges, stars, angle=options.feature_angle,
-                             fixed=~may, kept=marked_edges(edges, lines, n))
-    free = np.flatnonzero(features.kind == SMOOTH)
-    a, b, c = (points[triangles[:, i]] for i in range(3))
-    area = star_sum(np.cross(b - a, c - a), triangles, n)[free]
-    # every vertex of the ring lies on two triangles
-    ring = star_sum(a + b + c, triangles, n)[free] / np.diff(stars.indptr)[free, None]
-    height = ((points[free] - 0.5 * (ring - points[free])) * area).sum(axis=1)
-    squared = (area * area).sum(axis=1)
-    part = np.divide(height, squared, out=np.zeros(len(free)), where=squared > 0.0)
-    way = part[:, None] * area
-    long = np.sqrt((way * way).sum(axis=1))
-    most = np.divide(reach, long, out=np.full(len(long), HIGHER), where=long > 0.0)
-    return Heights(free, way, height / 6.0, np.minimum(HIGHER, most))
-
-
-def _gone_out(goal: SimplexMesh, outcome: Outcome, found: Heights) -> FloatArray:
-    """Points where vertices went out, or in where regions have gained, until these have the
-    volumes of a mesh: of a region all that help, by one part of their heights.
+def _gone_out(
+    start: FloatArray, volumes: Volumes, found: Heights, most: FloatArray
+) -> FloatArray:
+    """Points where vertices went out, or in where regions have gained, until these have their
+    volumes: of a region all that help, by one part of their heights.
     """
-    points, lacks = outcome.points.copy(), _lacking(goal, outcome, outcome.points)
-    at = _numbered(goal.bodies(outcome.regions), outcome.cells, len(points))[1][found.vertices]
-    most = np.where(found.gain * lacks[at] > 0.0, found.most, 0.0)
+    points, lacks = start.copy(), volumes.lacking(start)
+    at = _regions_of(found, volumes.cells, volumes.own, len(points))
+    most = np.where(found.gain * lacks[at] > 0.0, most, 0.0)
     gain = np.bincount(at, np.where(most > 0.0, found.gain, 0.0), len(lacks))
     share = np.zeros(len(lacks))
     for _ in range(STEPS):
         share += np.divide(lacks, gain, out=np.zeros(len(lacks)), where=gain != 0.0)
         part = np.clip(share[at], 0.0, most)
-        points[found.vertices] = outcome.points[found.vertices] + part[:, None] * found.way
-        lacks = _lacking(goal, outcome, points)
+        points[found.vertices] = start[found.vertices] + part[:, None] * found.way
+        lacks = volumes.lacking(points)
     return points
-
-
-def _numbered(labels: IntArray, cells: IntArray, n: int) -> tuple[LongArray, LongArray]:
-    """Number of the region of each of the cells, and of each of n vertices inside of one."""
-    own = np.unique(labels, return_inverse=True)[1]
-    out = np.zeros(n, dtype=np.intp)
-    out[cells] = own[:, None]
-    return own, out
-
-
-def _lacking(goal: SimplexMesh, outcome: Outcome, points: FloatArray) -> FloatArray:
-    """Volumes that regions lack, in order of their labels, where vertices are at ``points``."""
-    labels, own = np.unique(goal.bodies(outcome.regions), return_inverse=True)
-    was = np.bincount(np.searchsorted(labels, goal.bodies()),
-                      signed_volumes(goal.points, goal.cells), len(labels))
-    now = np.bincount(own, signed_volumes(points, outcome.cells), len(labels))
-    return np.asarray(was - now)
