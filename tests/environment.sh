@@ -105,9 +105,27 @@ install_package() {
         say "$VIRTUAL_ENV has no pip; try python -m ensurepip"; return 1; }
     # Python compiles what is imported, a small part of all that is installed.  The option of that
     # name would not reach the pip that installs what builds the package.
-    PIP_COMPILE=0 python -m pip install --quiet --disable-pip-version-check -e ".[$extras]" || {
+    by_uv -e ".[$extras]" || PIP_COMPILE=0 python -m pip install $QUIET -e ".[$extras]" || {
         say "installation failed; the lines above say why"; return 1; }
     echo "$stamp" >> "$marker"
+}
+
+QUIET="--quiet --disable-pip-version-check"
+
+# by_uv ARGUMENTS: as pip install, in a third of the time; uv finds and takes what pip was told to.
+by_uv() {
+    local option value
+    python -m pip install $QUIET uv 2>/dev/null || return 1
+    while IFS="=" read -r option value; do
+        value="${value#\'}" value="${value%\'}" value="${value//\\n/ }"
+        case "$option" in
+            *.index-url) export UV_DEFAULT_INDEX="$value" ;;
+            *.extra-index-url) export UV_INDEX="$value" ;;
+            *.find-links) export UV_FIND_LINKS="${value// /,}" ;;
+            *.constraint) export UV_CONSTRAINT="$value" ;;
+        esac
+    done <<< "$(python -m pip config list | sort -r)"
+    python -m uv pip install --quiet "$@"
 }
 
 find_python() {
