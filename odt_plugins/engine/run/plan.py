@@ -21,7 +21,6 @@ from odt_plugins.engine.run.within import WHOLE, Within
 from odt_plugins.engine.run.work import Work, begin
 from odt_plugins.engine.topology.complex import Complex
 from odt_plugins.engine.topology.frame import callers_vertices
-from odt_plugins.errors import InvalidOptionError
 from odt_plugins.mesh.arrays import IntArray
 from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.options import Options
@@ -38,7 +37,7 @@ def run(
 
     Parameters
     ----------
-    mesh : SimplexMesh    tetrahedra, or triangles in the plane
+    mesh : SimplexMesh    tetrahedra, or triangles in the plane, whose boundary stays
     options : Options
     leaving : callable    applied to every state before it is judged
     within : Within       how the mesh lies within a larger one
@@ -46,17 +45,7 @@ def run(
     Returns
     -------
     Outcome    a mesh that keeps the promise as it leaves, at worst the input itself
-
-    Raises
-    ------
-    InvalidOptionError    a boundary in the plane is asked to slide
     """
-    if options.boundary == "slide" and mesh.dim == 2:
-        msg = (
-            "got boundary='slide' for a mesh in the plane; expected 'fixed': only the surface of a "
-            "mesh of tetrahedra slides"
-        )
-        raise InvalidOptionError(msg)
     if not slides(mesh, options):
         return run_once(mesh, options, leaving, within)[0]
     within = within._replace(without=frozenset(), fresh=None, part=1.0)
