@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from itertools import combinations
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +33,9 @@ FEW = 0.01
 stretch many others."""
 TOUCHED = 0.1
 """Largest part of the cells of a layer that may be beside inverted or flat ones."""
+
+SAME_SIDE = 0.1
+"""Cosine above which normals point the same way."""
 
 
 class Stretch(NamedTuple):
@@ -91,7 +94,8 @@ def layer_cells(
     A vertex is one of a layer where at least half of the cells around are stretched, their mean is,
     and their shapes are near that mean. A cell belongs to a layer if its shape is near the mean at
     one of its vertices, and many such cells hang together; so does a stretched cell between
-    vertices of such cells, as at corners of a wall.
+    vertices of such cells, as at corners of a wall.  Cells that fill a surface without vertices
+    inside belong to none.
 
     Parameters
     ----------
@@ -110,15 +114,20 @@ def layer_cells(
     places, k = _places(len(points), cells, regions)
     core = _alike(points, cells, places, k, regular, CORE, threads)
     core = core[_many(cells[core], len(points))]
+    if core.size:
+        through = ~_between_walls(points, cells, places, k)
+        core = core[through[core]]
+        core = core[_many(cells[core], len(points))]
     if not core.size:
         return found
-    whole = np.union1d(core, _alike(points, cells, places, k, regular, FADING, threads))
+    whole = _alike(points, cells, places, k, regular, FADING, threads)
+    whole = np.union1d(core, whole[through[whole]])
     label = _clusters(cells[whole], len(points))
     found[whole[np.isin(label, label[np.searchsorted(whole, core)])]] = True
     inside = np.zeros(len(points), dtype=np.bool_)
     inside[cells[found]] = True
     stretched = regular < most_regular(FADING.ratio, cells.shape[1] - 1)
-    return found | (stretched & inside[cells].all(axis=1))
+    return found | (stretched & through & inside[cells].all(axis=1))
 
 
 def regularity(points: FloatArray, cells: IntArray) -> FloatArray:
@@ -210,6 +219,40 @@ def _places(n: int, cells: IntArray, regions: IntArray | None) -> tuple[NDArray[
     return places, n + len(distinct)
 
 
+def _between_walls(
+    points: FloatArray, cells: IntArray, places: NDArray[np.int64], k: int
+) -> BoolArray:
+    """Cells (m,) with all corners on the boundary that are no part of a thin plate.
+
+    A plate is thin along the normals of its boundary, which point to both sides. What fills a
+    surface without vertices inside is thin along normals that point to one side or, in space, long
+    along those of all corners.
+    """
+    d = points.shape[1]
+    facets = _facets(places).reshape(-1, d)
+    _, first, count = np.unique(
+        row_keys(np.sort(facets, axis=1), k), return_index=True, return_counts=True)
+    lone = first[count == 1]
+    vertex = np.zeros(k, dtype=np.int64)
+    vertex[places] = cells
+    corners = points[vertex[facets[lone]]]
+    edges = np.moveaxis(corners[:, 1:] - corners[:, :1], 1, 0)
+    normal = np.cross(*edges) if d == 3 else edges[0][:, ::-1] * (1.0, -1.0)
+    inwards = ((points[cells.ravel()[lone]] - corners[:, 0]) * normal).sum(axis=1)
+    normal *= -np.sign(inwards)[:, None]
+    out = np.stack([_sums(facets[lone], column, k) for column in normal.T], axis=1)
+    size = np.sqrt((out**2).sum(axis=1))
+    out[size > 0.0] /= size[size > 0.0, None]
+    between: BoolArray = (size[places] > 0.0).all(axis=1)
+    at = out[places[between]]
+    along = np.einsum("mci,mij,mcj->mc", at, shapes(inverse_metrics(points, cells[between])), at)
+    alike = np.ones(len(at), dtype=np.bool_)
+    for a, b in combinations(range(d + 1), 2):
+        alike &= (at[:, a] * at[:, b]).sum(axis=1) > SAME_SIDE
+    between[between] = alike | ((d == 3) & (along > 0.0).all(axis=1))
+    return between
+
+
 def _alike(
     points: FloatArray, cells: IntArray, places: NDArray[np.int64], k: int, regular: FloatArray,
     stretch: Stretch, threads: int,
@@ -264,12 +307,15 @@ def _means(
 def _clusters(cells: IntArray, n: int) -> NDArray[np.int32]:
     """Number of the part, connected through facets, that every cell belongs to."""
     width = cells.shape[1]
-    ordered = np.sort(cells, axis=1)
-    facets = np.stack([np.delete(ordered, i, axis=1) for i in range(width)], axis=1)
-    key = row_keys(facets.reshape(-1, width - 1), n)
+    key = row_keys(_facets(np.sort(cells, axis=1)).reshape(-1, width - 1), n)
     order = np.argsort(key, kind="stable")
     same = np.flatnonzero(np.diff(key[order]) == 0)
     return components(order[same] // width, order[same + 1] // width, len(cells))
+
+
+def _facets(cells: NDArray[Any]) -> NDArray[Any]:
+    """Facets (m, d + 1, d) of cells, number i opposite corner i."""
+    return np.stack([np.delete(cells, i, axis=1) for i in range(cells.shape[1])], axis=1)
 
 
 def _many(cells: IntArray, n: int) -> BoolArray:

@@ -137,6 +137,29 @@ def test_random_delaunay_cells_are_no_layer(d: int) -> None:
     assert not layer_cells(points, cells.astype(np.int32)).any()
 
 
+def filled(axes: Any, n: int = 2000) -> tuple[Any, Any]:
+    """Delaunay cells of points on an ellipsoid, with none inside."""
+    i = np.arange(n) + 0.5
+    z, turn = 1.0 - 2.0 * i / n, np.pi * (1.0 + 5.0**0.5) * i
+    across = np.sqrt(1.0 - z * z)
+    points = np.stack([across * np.cos(turn), across * np.sin(turn), z], axis=1) * axes
+    cells = Delaunay(points).simplices
+    volumes = np.linalg.det(points[cells[:, 1:]] - points[cells[:, :1]])
+    cells[volumes < 0.0] = cells[volumes < 0.0][:, [1, 0, 2, 3]]
+    return points, cells[np.abs(volumes) > 1e-12].astype(np.int32)
+
+
+@pytest.mark.parametrize("axes", [(1.0, 1.0, 1.0), (1.0, 0.8, 0.6), (1.0, 0.5, 0.2)])
+def test_what_fills_a_surface_without_vertices_inside_is_no_layer(axes: Any) -> None:
+    points, cells = filled(axes)
+    assert (regularity(points, cells) < most_regular(4.0, 3)).mean() > 0.5
+    assert not layer_cells(points, cells).any()
+    _, report = odt_plugins.remesh_with_report((points, cells), scale=1.0)
+    assert report.layers == 0
+    assert report.after.min_quality > 0.3
+    assert report.after.mean_quality > 0.6 > 0.2 > report.before.mean_quality
+
+
 @pytest.mark.parametrize("mesh", ["ball", "airfoil"])
 def test_an_affine_image_of_a_good_mesh_is_a_layer(mesh: str) -> None:
     from odt_plugins.compare import start
