@@ -466,7 +466,6 @@ def _resized(
     """The mesh with edges as long as they should be, and counts."""
     start = make_start(mesh)
     frame = start.frame
-    log = Log()
     # lengths in a metric have no unit
     unit = 1.0 if len(mesh.metric) else frame.scale
     values = LONGER * sizes.values[frame.vertices] * unit
@@ -475,14 +474,17 @@ def _resized(
         field = make_density(
             NodalDensity(values, 1.0), None, start.seen, start.cells, None)
         reach = shares[frame.vertices] * (envelope_length(mesh, options) - mesh.sag) * frame.scale
-        body, guard, scratch, names = lay_out(
-            start, holds(mesh)[frame.vertices], reach, options.feature_angle,
-            extremes(_allowed(mesh, options), tuple(options.keep)).cells)
-        were = [frame.vertices[s.rows[s.live()]] for s in (body.segments, body.triangles)]
-        work = Resizing(body, guard, scratch, field, field.walk_start(len(start.points)), log,
-                        LONGER * local_sizes(mesh)[frame.vertices] * unit, sizes.growth,
-                        relents, _most(mesh, sizes), _crowded(mesh, sizes))
-        resize(work, bool(shares.any()), pool, tick, threads)
+        for coarse in (False, True):
+            body, guard, scratch, names = lay_out(
+                start, holds(mesh)[frame.vertices], reach, options.feature_angle,
+                extremes(_allowed(mesh, options), tuple(options.keep)).cells)
+            were = [frame.vertices[s.rows[s.live()]] for s in (body.segments, body.triangles)]
+            log = Log()
+            work = Resizing(body, guard, scratch, field, field.walk_start(len(start.points)), log,
+                            LONGER * local_sizes(mesh)[frame.vertices] * unit, sizes.growth,
+                            relents, _most(mesh, sizes), _crowded(mesh, sizes))
+            if resize(work, bool(shares.any()), pool, tick, threads, coarse=coarse):
+                break
         whole = make_density(NodalDensity(LONGER * asked[frame.vertices] * unit, 1.0), None,
                              start.points, start.cells, None)
         size = work.body.size[: len(work.walk)]

@@ -55,6 +55,9 @@ SETTLED = 2.5e-3
 LONG, SHORT = 4.0 / 3.0, 4.0 / 5.0
 """Edges longer, or shorter, than so many times their size are cut or vanish."""
 
+COARSER = 1.5
+"""Limit of a round by that of the next, on the way from coarse to fine."""
+
 SWEEPS = 3
 """Sweeps over the surface in a round, and rounds of ODT inside."""
 
@@ -142,16 +145,29 @@ class Resizing:
 
 
 def resize(work: Resizing, slides: bool, pool: Pool | None, tick: Callable[[float], None],
-           threads: int) -> None:
-    """Split and collapse edges until they have their sizes, and move vertices in between."""
+           threads: int, *, coarse: bool = False) -> bool:
+    """Split and collapse edges until they have their sizes, and move vertices in between.
+
+    Parameters
+    ----------
+    coarse : bool    whether rounds of ever lower limits come first: slivers vanish with the short
+                     edges of a coarse mesh, which cuts in halves would make more of
+
+    Returns
+    -------
+    bool             False where cells are too flat to be cut and ``coarse`` rounds are to be tried
+    """
     work.sizes(pool)
+    limits = _coarser(work) if coarse else []
+    rounds = range(-len(limits), ROUNDS)
     before = np.inf
-    for k in range(ROUNDS):
-        splits = _split(work, pool)
-        gone = _collapse(work)
+    for k in rounds:
+        limit = limits[k] if k < 0 else LONG
+        splits = _split(work, pool, limit)
+        gone = _collapse(work, limit)
         work.log.add("splits", splits)
         work.log.add("collapses", gone)
-        tick((k + 0.4) / ROUNDS)
+        tick((k + 0.4 - rounds[0]) / len(rounds))
         if slides:
             work.log.add("boundary flips", _flip(work))
             for _ in range(SWEEPS):
@@ -160,12 +176,33 @@ def resize(work: Resizing, slides: bool, pool: Pool | None, tick: Callable[[floa
         if k == RELENTING:
             work.relent()
         work.sizes(pool)
-        tick((k + 1.0) / ROUNDS)
+        tick((k + 1.0 - rounds[0]) / len(rounds))
+        if k == 0 and not coarse and _jammed(work):
+            return False
         changed = splits + gone
-        if _settled(work, k, changed, before):
+        if k >= 0 and _settled(work, k, changed, before):
             break
         before = changed
     _collapse(work)
+    return True
+
+
+def _coarser(work: Resizing) -> list[float]:
+    """Limits from that of the longest edge down to LONG, which comes after them."""
+    limits: list[float] = []
+    limit = COARSER * LONG
+    while len(edges_beyond(work.body, limit, longer=True)):
+        limits.insert(0, limit)
+        limit *= COARSER
+    return limits
+
+
+def _jammed(work: Resizing) -> bool:
+    """Whether edges stay twice too long, as cells around them are too flat to be cut."""
+    body = work.body
+    edges = edges_beyond(body, 2.0 * LONG, longer=True)
+    free = (body.hold[edges] == FREELY).any(axis=1)
+    return not work.field.metric.size and free.sum() > FEW * len(body.tets.live())
 
 
 def _settled(work: Resizing, k: int, changed: int, before: float) -> bool:
@@ -175,10 +212,10 @@ def _settled(work: Resizing, k: int, changed: int, before: float) -> bool:
     return k > RELENTING and changed < SETTLED * len(work.body.tets.live())
 
 
-def _split(work: Resizing, pool: Pool | None) -> int:
+def _split(work: Resizing, pool: Pool | None, longest: float) -> int:
     """Split long edges; in a metric edges that became short vanish between the passes."""
     total = 0
-    for limit in [*_halved(work), *PASSES * [LONG]]:
+    for limit in [*_halved(work), *PASSES * [longest]]:
         if len(work.body.tets.live()) > work.crowded:
             break
         edges = edges_beyond(work.body, limit, longer=True)
@@ -193,7 +230,7 @@ def _split(work: Resizing, pool: Pool | None) -> int:
                         work.body, work.scratch, work.guard, left, 8 * left + 4096)
         work.sizes(pool)
         total += int(done[0])
-        if limit == LONG and done[0] <= FEW * len(edges):
+        if limit == longest and done[0] <= FEW * len(edges):
             break
         if work.field.metric.size:
             work.log.add("collapses", _collapse(work, limit))
