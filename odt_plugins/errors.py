@@ -125,12 +125,7 @@ def is_number(value: object) -> bool:
 
 
 def expect(good: bool, name: str, value: object, expected: str) -> None:
-    """Refuse the value of an option that is not good.
-
-    Raises
-    ------
-    InvalidOptionError
-    """
+    """Refuse the value of an option that is not good, by an InvalidOptionError."""
     if not good:
         msg = f"got {name}={value!r}; expected {expected}"
         raise InvalidOptionError(msg)

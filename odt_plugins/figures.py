@@ -284,10 +284,6 @@ def summarize(
     cells : (m, d + 1) int     m at least 1
     figures : CellFigures      of this very mesh, when they are at hand already
 
-    Returns
-    -------
-    QualitySummary
-
     Raises
     ------
     InvalidMeshError           no cells, or shapes or indices that make no simplices

@@ -412,12 +412,7 @@ def make_options(odt: Mapping[str, Any] | None = None, /, **options: Any) -> Opt
 def expect_known(
     given: Mapping[str, Any], known: Collection[str], what: str, stays: Collection[str] = STAYS
 ) -> None:
-    """Refuse names that are none of the known ones, where `free` takes those in `stays`.
-
-    Raises
-    ------
-    InvalidOptionError
-    """
+    """Refuse names that are none of the known ones, where `free` takes those in `stays`."""
     unknown = [name for name in given if name not in known]
     if unknown:
         hint = hint_for(unknown[0], known, stays)

@@ -97,12 +97,7 @@ def limit_memory(most: int) -> None:
 
 
 def expect_limits() -> None:
-    """Refuse limits of memory on a system that has none.
-
-    Raises
-    ------
-    InvalidOptionError
-    """
+    """Refuse limits of memory on a system that has none."""
     if find_spec("resource") is None:
         msg = "got a limit of memory, which this system cannot set; try it without one"
         raise InvalidOptionError(msg)

@@ -31,10 +31,6 @@ def telling(progress: Progress | bool | None, first: str) -> Iterator[Progress]:
     ----------
     progress : callable, bool or None    the caller's; True shows a bar
     first : str                          stage in which the work begins
-
-    Yields
-    ------
-    callable progress(stage, fraction)
     """
     if progress is True:
         with shown() as bar, telling(bar, first) as whole:

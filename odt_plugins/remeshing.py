@@ -172,12 +172,7 @@ def _with_still_walls(mesh: SimplexMesh) -> SimplexMesh:
 
 
 def check_sizes(size: Any = None, **given: Any) -> None:
-    """Refuse sizes and options of :func:`remesh` before any work is done.
-
-    Raises
-    ------
-    InvalidOptionError
-    """
+    """Refuse sizes and options of :func:`remesh` before any work is done."""
     wishes = {name: value for name, value in given.items() if name in WISHES}
     _wish(size, wishes, metric=given.get("metric") is not None)
     _checked({name: value for name, value in given.items() if name not in WISHES})

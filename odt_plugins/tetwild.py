@@ -239,12 +239,7 @@ def _expect_known(options: Mapping[str, Any], own: Mapping[str, Any]) -> None:
 
 
 def odt_options(odt: Mapping[str, Any] | bool, **options: Any) -> dict[str, Any] | None:
-    """Check the options given as keywords and in `odt`; None when nothing is to be improved.
-
-    Raises
-    ------
-    InvalidOptionError
-    """
+    """Check the options given as keywords and in `odt`; None when nothing is to be improved."""
     if not isinstance(odt, bool | Mapping):
         msg = f"got odt={odt!r}; expected a dict of options of odt_plugins.optimize, True or False"
         raise InvalidOptionError(msg)
@@ -276,12 +271,7 @@ def _check_surface(vertices: Any, faces: Any) -> None:
 
 
 def expect_pytetwild() -> None:
-    """Refuse at once when pytetwild is not there.
-
-    Raises
-    ------
-    MissingDependencyError
-    """
+    """Refuse at once when pytetwild is not there."""
     require("tetrahedralize", "pytetwild", "pytetwild")
 
 
@@ -366,7 +356,7 @@ def background_sizes(
     *,
     outside: float,
 ) -> NDArray[np.float64]:
-    """Edge length that a sizing field asks for, by linear interpolation on its tetrahedra.
+    """Edge lengths (k,) that a sizing field asks for, by linear interpolation on its tetrahedra.
 
     Parameters
     ----------
@@ -375,10 +365,6 @@ def background_sizes(
     bg_tets : (m, 4) int           its tetrahedra, of either orientation
     bg_values : (n,)               edge length at its vertices
     outside : float                edge length where there is no tetrahedron
-
-    Returns
-    -------
-    (k,) float64
     """
     from scipy.spatial import cKDTree
 

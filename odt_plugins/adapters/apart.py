@@ -192,10 +192,6 @@ def call(function: Callable[..., Any], *arguments: Any, seconds: float | None = 
     modules : tuple of str       what it imports beforehand; without any, it ends when the function
                                  fails, too
 
-    Returns
-    -------
-    what the function returns
-
     Raises
     ------
     TimeoutError            it was not done

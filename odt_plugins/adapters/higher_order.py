@@ -52,17 +52,13 @@ ORDERS = {2: "quadratic", 3: "cubic", 4: "quartic", 5: "quintic"}
 
 @cache
 def lattice(dim: int, order: int, host: str = "vtk") -> Lattice:
-    """Where the nodes of a simplex lie: corners, edges, faces, inside.
+    """Where the nodes (k, dim + 1) of a simplex lie: corners, edges, faces, inside.
 
     Parameters
     ----------
     dim : int      1, 2 or 3
     order : int    p; the nodes inside a face or cell are those of one of order p - 3 or p - 4
     host : str     "vtk" or "gmsh"
-
-    Returns
-    -------
-    (k, dim + 1) int64
     """
     if order <= 0:
         return np.zeros((1 + order if order > -1 else 0, dim + 1), dtype=np.int64)
@@ -207,10 +203,6 @@ def with_mid_nodes(
     rows : (m, k)             nodes of the input cells
     kept : (k,) int           nodes of other cells, which stay even where their place is gone
     shape : (k, d + 1) int    lattice of a cell
-
-    Returns
-    -------
-    HigherOrder
     """
     n, d = len(points), shape.shape[1]
     wide, corner = rows.astype(np.int64), result.cells.astype(np.int64)

@@ -431,12 +431,7 @@ def words_of(host: HostMesh) -> Iterator[None]:
 
 
 def expect_tetrahedra(host: HostMesh) -> None:
-    """Refuse meshes into which no vertices can be inserted.
-
-    Raises
-    ------
-    InvalidOptionError
-    """
+    """Refuse meshes into which no vertices can be inserted."""
     if host.cells.shape[1:] == (3,):
         msg = "got insert=True for a mesh of triangles; expected one of tetrahedra"
         raise InvalidOptionError(msg)

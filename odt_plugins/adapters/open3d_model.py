@@ -28,12 +28,7 @@ def matches(mesh: object) -> bool:
 
 
 def read(mesh: Any, regions: str | Sequence[str] | None = None) -> NoReturn:
-    """Refuse what needs a single mesh.
-
-    Raises
-    ------
-    UnsupportedMeshError
-    """
+    """Refuse what needs a single mesh."""
     msg = (f"got a TriangleMeshModel of {counted(len(mesh.meshes), 'mesh', 'meshes')} where a "
            f"single mesh is needed, try {TOGETHER}")
     raise UnsupportedMeshError(msg)

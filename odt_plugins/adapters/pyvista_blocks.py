@@ -34,12 +34,7 @@ def matches(mesh: object) -> bool:
 
 
 def read(mesh: Any, regions: str | Sequence[str] | None = None) -> NoReturn:
-    """Refuse what needs a single mesh.
-
-    Raises
-    ------
-    UnsupportedMeshError
-    """
+    """Refuse what needs a single mesh."""
     msg = (f"got a MultiBlock of {counted(mesh.n_blocks, 'block')} where a single mesh is needed, "
            f"try mesh.combine().triangulate()")
     raise UnsupportedMeshError(msg)

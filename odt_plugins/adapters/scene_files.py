@@ -42,11 +42,7 @@ def installed() -> bool:
 
 
 def read(path: Path) -> Any:
-    """Read a scene, with the vertices and faces that the file has.
-
-    Returns
-    -------
-    trimesh.Scene
+    """Read a trimesh.Scene, with the vertices and faces that the file has.
 
     Raises
     ------

@@ -31,12 +31,7 @@ def matches(mesh: object) -> bool:
 
 
 def read(mesh: Any, regions: str | Sequence[str] | None = None) -> NoReturn:
-    """Refuse what needs a single mesh.
-
-    Raises
-    ------
-    UnsupportedMeshError
-    """
+    """Refuse what needs a single mesh."""
     found = counted(len(mesh.geometry), "geometry", "geometries")
     msg = f"got a trimesh Scene of {found} where a single mesh is needed, try {TOGETHER}"
     raise UnsupportedMeshError(msg)

@@ -47,10 +47,6 @@ def run_demo(
     say : callable           is told, line by line, what happens
     **options                of :func:`odt_plugins.optimize`
 
-    Returns
-    -------
-    Report
-
     Raises
     ------
     MissingDependencyError   pymeshlab, pytetwild or matplotlib is not installed

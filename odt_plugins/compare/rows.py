@@ -171,10 +171,6 @@ def compare_on(
     keep : Path                 folder for the start and every result, as .vtu files
     tell : callable             is given every row as soon as it is measured
     begin : callable            is given every contestant before it runs
-
-    Returns
-    -------
-    MeshResult
     """
     before = measure_mesh(start, start.points, start.cells, start.regions, poisson=poisson)
     files = [of_file(path, start) for path in results]

@@ -21,15 +21,11 @@ PATIENCE = 30.0
 
 @contextmanager
 def connected(scheduler: str) -> Iterator[Any]:
-    """Connect to a scheduler.
+    """Connect to a scheduler as a distributed.Client.
 
     Parameters
     ----------
     scheduler : str    address, such as tcp://host:8786
-
-    Yields
-    ------
-    distributed.Client
 
     Raises
     ------

@@ -338,12 +338,7 @@ def _count(counts: dict[str, int], name: str, traffic: Traffic) -> None:
 
 
 def check(blocks: int, rounds: int, workers: int, options: Options, *, several: bool) -> None:
-    """Refuse values out of range, and options that do not go with blocks.
-
-    Raises
-    ------
-    InvalidOptionError
-    """
+    """Refuse values out of range, and options that do not go with blocks."""
     given = (("blocks", blocks, 1), ("block_rounds", rounds, 1), ("workers", workers, 0))
     for name, value, least in given:
         if not isinstance(value, int) or isinstance(value, bool) or value < least:

@@ -252,12 +252,7 @@ def write_piece(path: Path, piece: Piece, orientation: int) -> None:
 
 
 def write_index(path: Path, names: list[str], example: Piece) -> None:
-    """Write the .pvtu file that names the pieces; it comes last.
-
-    Raises
-    ------
-    MeshFileError
-    """
+    """Write the .pvtu file that names the pieces; it comes last."""
     root = ElementTree.Element("VTKFile", type="PUnstructuredGrid", version="1.0",
                                byte_order="LittleEndian")
     grid = ElementTree.SubElement(root, "PUnstructuredGrid", GhostLevel="0")

@@ -37,10 +37,6 @@ def expect_versions(
     wanted : dict           versions there
     found : dict or None    versions here, by :func:`versions_here` unless given
     where : str or None     for the message; this process on this machine unless given
-
-    Raises
-    ------
-    InvalidOptionError
     """
     here = versions_here() if found is None else found
     other = [name for name in wanted if here.get(name) != wanted[name]]

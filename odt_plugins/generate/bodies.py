@@ -49,10 +49,6 @@ def find_bodies(points: FloatArray, faces: IntArray) -> Bodies:
     ----------
     points : (n, 3) float64
     faces : (m, 3) int32       at least one
-
-    Returns
-    -------
-    Bodies
     """
     number = first_there(points)
     merged = number[faces].astype(np.int32)

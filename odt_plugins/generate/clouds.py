@@ -18,10 +18,6 @@ def ball(n: int, seed: int = SEED) -> tuple[FloatArray, IntArray]:
     ----------
     n : int       about so many vertices
     seed : int    of the jitter
-
-    Returns
-    -------
-    points (v, 3), cells (m, 4)
     """
     from scipy.spatial import Delaunay
 
@@ -42,10 +38,6 @@ def pebble(n: int, seed: int = SEED) -> tuple[FloatArray, IntArray]:
     ----------
     n : int       vertices
     seed : int
-
-    Returns
-    -------
-    points (n, 3), cells (m, 3)
     """
     from scipy.spatial import ConvexHull
 
@@ -74,10 +66,6 @@ def plate(n: int, seed: int = SEED) -> tuple[FloatArray, IntArray]:
     ----------
     n : int       about so many vertices
     seed : int
-
-    Returns
-    -------
-    points (v, 2), cells (m, 3)
     """
     from scipy.spatial import Delaunay
 

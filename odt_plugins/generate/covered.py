@@ -120,10 +120,6 @@ def compare(
     mesh : (points, cells)       (k, 3) float64, (c, 4) int32, positive
     tolerance : float            length
 
-    Returns
-    -------
-    Covered
-
     Notes
     -----
     Where the winding number of the surface is at least a half on both sides of a face, as where

@@ -30,17 +30,7 @@ CHUNK = 1 << 20
 
 
 def dcircle(p: ArrayLike, xc: float, yc: float, r: float) -> FloatArray:
-    """Distance to the circle around (xc, yc) of radius r; exact.
-
-    Parameters
-    ----------
-    p : (n, 2) float
-    xc, yc, r : float
-
-    Returns
-    -------
-    (n,) float64
-    """
+    """Distances (n,) of points (n, 2) to the circle around (xc, yc) of radius r; exact."""
     x = _points(p, 2)
     return np.hypot(x[:, 0] - xc, x[:, 1] - yc) - r
 
@@ -82,16 +72,12 @@ def dblock0(
 
 
 def dpoly(p: ArrayLike, pv: ArrayLike) -> FloatArray:
-    """Distance to a simple polygon; exact.
+    """Distances (n,) to a simple polygon; exact.
 
     Parameters
     ----------
     p : (n, 2) float
     pv : (k, 2) float    corners in either direction; the last may repeat the first
-
-    Returns
-    -------
-    (n,) float64
 
     Raises
     ------

@@ -193,12 +193,7 @@ _show_signature()
 def check_fill(
     levels: Any, edge_length: Any, options: Any, sizes: Mapping[str, Any] = NO_SIZES
 ) -> None:
-    """Refuse what has no meaning for a surface, before any work is done.
-
-    Raises
-    ------
-    InvalidOptionError
-    """
+    """Refuse what has no meaning for a surface, before any work is done."""
     make_options(**options)
     check_levels(levels, edge_length, options if levels else {})
     if sizes and levels:

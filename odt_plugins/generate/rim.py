@@ -63,12 +63,6 @@ def make_rim(cells: IntArray, corners: BoolArray) -> Rim | None:
 def spaced(points: FloatArray, rim: Rim, domain: Domain) -> FloatArray:
     """Where boundary vertices belong: at lengths in proportion to the sizes along every chain.
 
-    Parameters
-    ----------
-    points : (n, 2) float64
-    rim : Rim
-    domain : Domain
-
     Returns
     -------
     (n, 2) float64    other points and the ends of chains as they are; the others on fd = 0

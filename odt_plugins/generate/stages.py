@@ -161,12 +161,7 @@ def evened(mesh: Mesh, domain: Domain, scale: float) -> tuple[FloatArray, int]:
 
 
 def check_cover(mesh: Mesh, domain: Domain, scale: float, samples: FloatArray) -> None:
-    """Refuse a Delaunay mesh with samples of the domain, (k, 2), in none of its triangles.
-
-    Raises
-    ------
-    TooCoarseError
-    """
+    """Refuse a Delaunay mesh with samples of the domain, (k, 2), in none of its triangles."""
     from scipy.spatial import Delaunay, QhullError
 
     samples = samples[-domain.distance(samples) > 0.0]
@@ -188,12 +183,7 @@ def check_cover(mesh: Mesh, domain: Domain, scale: float, samples: FloatArray) -
 
 
 def check_edges(mesh: Mesh, domain: Domain) -> None:
-    """Refuse a mesh with inner edges outside the domain or boundary edges far from fd = 0.
-
-    Raises
-    ------
-    TooCoarseError
-    """
+    """Refuse a mesh with inner edges outside the domain or boundary edges far from fd = 0."""
     points, cells, ends = refine_triangles(mesh.points, mesh.cells)
     on_rim = boundary_vertices(cells, len(points))[len(mesh.points):]
     mesh.rim()

@@ -53,7 +53,7 @@ def lattice(domain: Domain, spacing: float) -> FloatArray:
 def initial_points(
     domain: Domain, spacing: float, least: float, fixed: FloatArray, rng: np.random.Generator
 ) -> FloatArray:
-    """Place points so dense as the sizes ask, the fixed ones first.
+    """Place points (n, 2) so dense as the sizes ask, the fixed ones first.
 
     Parameters
     ----------
@@ -62,10 +62,6 @@ def initial_points(
     least : float
     fixed : (f, 2) float64
     rng : numpy Generator      decides which points of the lattice stay where sizes are larger
-
-    Returns
-    -------
-    (n, 2) float64
     """
     points = lattice(domain, spacing)
     points = points[domain.distance(points) < INSIDE * spacing]

@@ -103,12 +103,7 @@ def uniform_refine(mesh: MeshT) -> MeshT:
 
 
 def read_linear(mesh: Any) -> tuple[Adapter, HostMesh]:
-    """Read a mesh of linear triangles or tetrahedra that can be refined.
-
-    Raises
-    ------
-    UnsupportedMeshError
-    """
+    """Read a mesh of linear triangles or tetrahedra; others are refused."""
     adapter = find_adapter(mesh)
     known = adapter in ADAPTERS and not is_instance(mesh, "pyvista", "PolyData")
     if not known:

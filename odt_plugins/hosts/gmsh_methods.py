@@ -19,10 +19,6 @@ def odt(**options: Unpack[OptionKeywords]) -> Report:
     Parameters
     ----------
     **options     of :func:`odt_plugins.optimize`
-
-    Returns
-    -------
-    Report
     """
     import gmsh
 
@@ -37,10 +33,6 @@ def odt_remesh(size: Any = None, **options: Any) -> Report:
     ----------
     size : float, array or callable    length that edges should have
     **options                          of :func:`odt_plugins.remesh`, such as `scale`
-
-    Returns
-    -------
-    Report
     """
     import gmsh
 

@@ -50,10 +50,6 @@ def filter_smooth_odt(
     **options                      of :func:`odt_plugins.optimize`; without those that make this
                                    filter what it is: finish, method, connectivity in smoothing
 
-    Returns
-    -------
-    same class as `mesh`
-
     Raises
     ------
     InvalidOptionError             the scope is Normal or Color, an option is wrong or contradicts
@@ -106,10 +102,6 @@ def optimize_odt(mesh: MeshT, **options: Unpack[OptionKeywords]) -> MeshT:
     ----------
     mesh : TriangleMesh, TetraMesh or t.geometry.TriangleMesh
     **options     of :func:`odt_plugins.optimize`
-
-    Returns
-    -------
-    same class as `mesh`
     """
     _expect_mesh(mesh)
     return optimize_mesh(mesh, **options)
@@ -123,10 +115,6 @@ def remesh_odt(mesh: MeshT, size: Any = None, **options: Any) -> MeshT:
     mesh : TriangleMesh, TetraMesh or t.geometry.TriangleMesh
     size : float, array, str or callable    length that edges should have
     **options                               of :func:`odt_plugins.remesh`, such as `scale`
-
-    Returns
-    -------
-    same class as `mesh`
     """
     _expect_mesh(mesh)
     return cast("MeshT", remesh(mesh, size, **options))

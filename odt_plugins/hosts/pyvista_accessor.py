@@ -121,7 +121,7 @@ class OdtSurfaceAccessor(OdtAccessor):
         odt: Mapping[str, Any] | bool = True,
         **keywords: Any,
     ) -> Any:
-        """Fill the surface with tetrahedra by TetWild and improve them.
+        """Fill the surface with tetrahedra by TetWild and improve them: an UnstructuredGrid.
 
         Parameters
         ----------
@@ -133,10 +133,6 @@ class OdtSurfaceAccessor(OdtAccessor):
         **keywords                                   of `pytetwild.tetrahedralize`:
                                                      edge_length_fac, epsilon, ..., and options of
                                                      :func:`odt_plugins.optimize`
-
-        Returns
-        -------
-        pyvista.UnstructuredGrid
 
         Raises
         ------

@@ -89,7 +89,7 @@ def keep_layers(
 def layer_cells(
     points: FloatArray, cells: IntArray, regions: IntArray | None = None, threads: int = 1
 ) -> BoolArray:
-    """Find the cells of coherent layers.
+    """Mark the cells (m,) of coherent layers.
 
     A vertex is one of a layer where at least half of the cells around are stretched, their mean is,
     and their shapes are near that mean. A cell belongs to a layer if its shape is near the mean at
@@ -103,10 +103,6 @@ def layer_cells(
     cells : (m, d + 1) int32               of positive volume
     regions : (m,) int32                   labels; cells of one label have means of their own
     threads : int                          how many share the work
-
-    Returns
-    -------
-    (m,) bool
     """
     found = np.zeros(len(cells), dtype=np.bool_)
     parts = spread(lambda part: regularity(points, cells[part]), chunks(len(cells)), threads)
@@ -132,11 +128,6 @@ def layer_cells(
 
 def regularity(points: FloatArray, cells: IntArray) -> FloatArray:
     """Product of the eigenvalues of the inverse implied metric, of mean 1.
-
-    Parameters
-    ----------
-    points : (n, d) float64
-    cells : (m, d + 1) int32
 
     Returns
     -------

@@ -281,17 +281,7 @@ def determinant(
 
 
 def barycentric(corners: FloatArray, x: FloatArray) -> FloatArray:
-    """Barycentric coordinates of points in simplices, by Cramer's rule.
-
-    Parameters
-    ----------
-    corners : (..., d + 1, d) float64
-    x : (..., d) float64
-
-    Returns
-    -------
-    (..., d + 1) float64       -inf in cells of volume 0
-    """
+    """Barycentric coordinates of points in simplices by Cramer's rule, -inf in flat cells."""
     edges = np.moveaxis(corners[..., 1:, :] - corners[..., :1, :], (-2, -1), (0, 1))
     offset = np.moveaxis(x - corners[..., 0, :], -1, 0)
     volume = determinant(edges)

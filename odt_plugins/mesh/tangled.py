@@ -66,11 +66,6 @@ def tangled_mesh(
 def odd_cells(points: FloatArray, cells: IntArray) -> BoolArray | None:
     """Mark the cells to be turned for all to agree, and every piece to have positive volume.
 
-    Parameters
-    ----------
-    points : (n, d) float64
-    cells : (m, d + 1) int32
-
     Returns
     -------
     (m,) bool, or None    when cells are there twice, a facet has more than two, or none agree

@@ -152,7 +152,7 @@ def hessians_to_metric(
     points: FloatArray, cells: IntArray, hessians: FloatArray, least: float, count: float,
     norm: float, limits: tuple[float, float], along: Tangents | None = None,
 ) -> FloatArray:
-    """The metric of fields of one unit whose Hessians are known, by eight parameters.
+    """The metric (n, D, D) of fields of one unit whose Hessians are known, by eight parameters.
 
     Parameters
     ----------
@@ -162,10 +162,6 @@ def hessians_to_metric(
     count, norm : float          see :func:`metric_from_field`
     limits : growth and ratio    see :func:`metric_from_field`
     along : Tangents             of triangles in space
-
-    Returns
-    -------
-    (n, D, D) float64
     """
     d = hessians.shape[-1]
     parts = []

@@ -72,15 +72,6 @@ def iterate(
 def flip_once(points: FloatArray, cells: IntArray) -> IntArray:
     """Visit every edge of a planar mesh once and flip it if it is not locally Delaunay.
 
-    Parameters
-    ----------
-    points : (n, 2) float64
-    cells : (m, 3) int32
-
-    Returns
-    -------
-    (m, 3) int32
-
     References
     ----------
     CMAME 200 (2011) 967-984, Section 3.1; "we do not repeat edge flipping", Section 5.
@@ -93,15 +84,6 @@ def flip_once(points: FloatArray, cells: IntArray) -> IntArray:
 
 def delaunay_cells(points: FloatArray, cells: IntArray) -> IntArray:
     """Delaunay connectivity of the vertices wherever the boundary allows it.
-
-    Parameters
-    ----------
-    points : (n, d) float64
-    cells : (m, d + 1) int32
-
-    Returns
-    -------
-    (m', d + 1) int32
 
     References
     ----------

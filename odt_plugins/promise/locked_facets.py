@@ -36,12 +36,6 @@ def locked_facets(
 ) -> LockedFacets:
     """Collect the boundary and interface facets of a mesh, sorted; any broken mesh will do.
 
-    Parameters
-    ----------
-    cells : (m, d + 1) int
-    regions : (m,) int
-    n_points : int
-
     Returns
     -------
     LockedFacets             a facet between two labels appears twice, once from each side

@@ -291,10 +291,6 @@ def make_report(
     refused : sequence      options, some with a value, that the call does not take
     nodes : int             points of the result, unless they are those of the outcome
     **told                  fields of the report that only the adapters know
-
-    Returns
-    -------
-    Report
     """
     was = as_seen(before.points, before.cells, before.metric)
     there = as_seen(outcome.points, outcome.cells, outcome.metric)

@@ -29,10 +29,6 @@ def read(path: Path) -> Any:
     file that belongs to another mesh, such as `mesh_fine_marker.xml` beside `mesh_fine.xml`, is
     none of `mesh.xml`.
 
-    Returns
-    -------
-    meshio.Mesh
-
     Raises
     ------
     MeshFileError    its parts do not fit together

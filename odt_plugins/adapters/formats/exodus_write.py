@@ -34,16 +34,6 @@ def write(path: Path, mesh: Any, binary: bool | None) -> list[str]:
     Lines, triangles and quadrilaterals that are sides of cells of a higher dimension become side
     sets, one for each label. Arrays are variables at a time of 0.
 
-    Parameters
-    ----------
-    path : path
-    mesh : meshio.Mesh
-    binary : None
-
-    Returns
-    -------
-    empty list
-
     Raises
     ------
     UnsupportedMeshError    the format does not hold such cells

@@ -122,18 +122,7 @@ def _parted(title: str) -> tuple[str, str, str]:
 
 
 def write(path: Path, mesh: Any, binary: bool | None) -> list[str]:
-    """Write zones and faces, and cell sets as groups of these.
-
-    Parameters
-    ----------
-    path : path
-    mesh : meshio.Mesh    of linear cells with areas or volumes
-    binary : bool
-
-    Returns
-    -------
-    empty list
-    """
+    """Write zones and faces of linear cells, and cell sets as groups of these."""
     points = np.asarray(mesh.points, dtype=np.float64)
     zones = _part(mesh, points, "zone", 0)
     faces = _part(mesh, points, "face", sum(len(rows) for _, rows in zones.cells))

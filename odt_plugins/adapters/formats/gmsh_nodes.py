@@ -40,12 +40,7 @@ def _points(change: Change) -> NDArray[np.float64]:
 def places(
     file: File, nodes: Nodes, change: Change, *, parted: bool
 ) -> tuple[list[Edit], list[str]]:
-    """What replaces the coordinates of nodes that moved, and nodes that came or went.
-
-    Returns
-    -------
-    edits : list of (start, stop, bytes)
-    lost : list of str
+    """Edits for the nodes that moved, came or went, and what is lost by them.
 
     Raises
     ------

@@ -44,10 +44,6 @@ class Entity(NamedTuple):
 def read(path: Path) -> Any:
     """Read a file of any version of Gmsh's.
 
-    Parameters
-    ----------
-    path : path
-
     Returns
     -------
     meshio.Mesh    in version 4 a block for each entity and type of cells; cell data

@@ -263,12 +263,7 @@ class Numbers:
         return [int(value) for value in self.take(kind, count).tolist()]
 
     def table(self, kinds: list[tuple[str, int]], count: int) -> tuple[list[Any], Any]:
-        """Take rows that have numbers of several types.
-
-        Parameters
-        ----------
-        kinds : list of (type, number of them)
-        count : int
+        """Take `count` rows of numbers of several types, of each type so many.
 
         Returns
         -------
@@ -363,12 +358,7 @@ def nodes(file: File, section: Section) -> Nodes:
 
 
 def elements(file: File, section: Section, sizes: dict[int, int]) -> list[Run]:
-    """Read the elements.
-
-    Parameters
-    ----------
-    file, section
-    sizes : number of nodes by number of type
+    """Read the elements; `sizes` are their numbers of nodes by the numbers of their types.
 
     Raises
     ------

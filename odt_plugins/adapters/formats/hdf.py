@@ -24,10 +24,6 @@ NUMBERS = "GLOBAL_ID"
 def cgns(path: Path) -> Any:
     """Read the tetrahedra of the one zone of a file.
 
-    Returns
-    -------
-    meshio.Mesh
-
     Raises
     ------
     MeshFileError    it has several zones, or other elements
@@ -55,12 +51,7 @@ def cgns(path: Path) -> Any:
 
 
 def h5m(path: Path) -> Any:
-    """Read a file of MOAB.
-
-    Returns
-    -------
-    meshio.Mesh
-    """
+    """Read a file of MOAB."""
     import h5py
 
     with h5py.File(path, "r") as file:

@@ -59,10 +59,6 @@ class _Lines(NamedTuple):
 def read(path: Path) -> Any:
     """Read vertices, faces, lines and points; what faces belong to are sets where it differs.
 
-    Returns
-    -------
-    meshio.Mesh
-
     Raises
     ------
     MeshFileError    a line is broken, or refers to something that is not there

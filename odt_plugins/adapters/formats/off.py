@@ -46,10 +46,6 @@ class _Lines(NamedTuple):
 def read(path: Path) -> Any:
     """Read vertices and faces; what stands behind them are arrays where all have as much.
 
-    Returns
-    -------
-    meshio.Mesh
-
     Raises
     ------
     MeshFileError    the file is binary, has another dimension, or ends too early

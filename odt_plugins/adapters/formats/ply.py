@@ -192,12 +192,7 @@ def _wide_enough(of: Property, values: Any) -> Property:
 
 
 def write(path: Path, mesh: Any, binary: bool | None) -> list[str]:
-    """Write a mesh: faces with their arrays, lines as edges, colours of bytes as such.
-
-    Returns
-    -------
-    list of str    what is lost
-    """
+    """Write a mesh: faces with their arrays, lines as edges, colours of bytes as such."""
     lost: list[str] = []
     points = np.zeros((len(mesh.points), 3), dtype=np.asarray(mesh.points).dtype)
     points[:, : np.shape(mesh.points)[1]] = mesh.points

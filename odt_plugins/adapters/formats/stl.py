@@ -29,10 +29,6 @@ SOLID = re.compile(rb"^[ \t]*solid\b[ \t]*([^\r\n]*)", re.IGNORECASE | re.MULTIL
 def read(path: Path) -> Any:
     """Read triangles, vertices of equal coordinates as one; several solids become sets of cells.
 
-    Returns
-    -------
-    meshio.Mesh
-
     Raises
     ------
     MeshFileError    the file ends within a triangle or a solid
@@ -81,12 +77,7 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
 
 
 def write(path: Path, mesh: Any, binary: bool | None) -> list[str]:
-    """Write the triangles of a mesh, as text unless binary, with sets that part them as solids.
-
-    Returns
-    -------
-    list of str    what is lost
-    """
+    """Write the triangles of a mesh, as text unless binary, with sets that part them as solids."""
     kinds = [block.type for block in mesh.cells if len(block.data)]
     lost = [f"cells of type {kind}" for kind in sorted(set(kinds) - {"triangle"})]
     chosen = [i for i, block in enumerate(mesh.cells) if block.type == "triangle"]

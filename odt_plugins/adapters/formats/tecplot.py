@@ -170,10 +170,6 @@ def _numbers(text: str) -> NDArray[np.float64]:
 def read(path: Path) -> Any:
     """Read the one zone of a file; variables are arrays of points or cells.
 
-    Returns
-    -------
-    meshio.Mesh
-
     Raises
     ------
     MeshFileError    it has no zone of finite elements, or several, or ends too early

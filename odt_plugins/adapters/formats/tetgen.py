@@ -161,15 +161,7 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
 def write(path: Path, mesh: Any, binary: bool | None) -> list[str]:
     """Write tetrahedra with their labels, and triangles and lines, which have a marker.
 
-    Parameters
-    ----------
-    path : path
-    mesh : meshio.Mesh    in space, with at most one block of each type
-    binary : None
-
-    Returns
-    -------
-    empty list
+    The mesh is in space, with at most one block of each type.
 
     Raises
     ------

@@ -80,10 +80,6 @@ class _Source:
 def read(path: Path) -> Any:
     """Read points, boundaries with their numbers, and volumes.
 
-    Returns
-    -------
-    meshio.Mesh
-
     Raises
     ------
     MeshFileError    it ends too early, or a cell refers to a point that is not there
@@ -117,15 +113,7 @@ def read(path: Path) -> Any:
 def write(path: Path, mesh: Any, binary: bool | None) -> list[str]:
     """Write points, boundaries with their numbers, and volumes, in the form that the name tells.
 
-    Parameters
-    ----------
-    path : path
-    mesh : meshio.Mesh    with at most one block of each type
-    binary : None
-
-    Returns
-    -------
-    empty list
+    The mesh has at most one block of each type.
 
     Raises
     ------

@@ -132,10 +132,6 @@ def read(path: Path) -> Any:
     their arrays, facets that it lacks become blocks. Cells without a value have 0, or one less than
     the least value where that is taken, and no number in arrays of floats.
 
-    Returns
-    -------
-    meshio.Mesh
-
     Raises
     ------
     MeshFileError    it has grids of several meshes, or parts that do not fit together

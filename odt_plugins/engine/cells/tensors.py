@@ -104,16 +104,12 @@ def exponential(tensors: FloatArray) -> FloatArray:
 
 
 def mean(tensors: FloatArray, weights: FloatArray | None = None) -> FloatArray:
-    """Log-Euclidean means: the exponential of the mean of the logarithms.
+    """Log-Euclidean means (n, d, d): the exponential of the mean of the logarithms.
 
     Parameters
     ----------
     tensors : (n, k, d, d)    positive definite
     weights : (n, k)          at least 0, with a positive sum each; all alike by default
-
-    Returns
-    -------
-    (n, d, d)
 
     References
     ----------

@@ -294,7 +294,7 @@ def finish(
     pool: Pool | None,
     threads: int,
 ) -> tuple[int, int]:
-    """Run phases of the finishing stage on a complex, in place.
+    """Run phases of the finishing stage on a complex, in place; gives how many flips and moves.
 
     Parameters
     ----------
@@ -302,10 +302,6 @@ def finish(
     phases : tuple of Phase
     bounds : Bounds            the plane uses those of all cells
     pool, threads              see ``run_chunks``; the result does not depend on them
-
-    Returns
-    -------
-    flips, moves : int
     """
     if mesh.dim == 2:
         from odt_plugins.engine.finish.plane import finish2d

@@ -32,7 +32,7 @@ def corner_sums(corner_values: FloatArray, cells: IntArray, n_points: int) -> Fl
 def centers_gradient(
     points: FloatArray, cells: IntArray, centers: FloatArray, rho: CellDensity = 1.0
 ) -> FloatArray:
-    """Pull of the cells' centres: 2/(d + 1) sum_tau (x_i - c_tau) rho_tau |tau|.
+    """Pull (n, d) of the cells' centres: 2/(d + 1) sum_tau (x_i - c_tau) rho_tau |tau|.
 
     Parameters
     ----------
@@ -40,10 +40,6 @@ def centers_gradient(
     cells : (m, d + 1) int32
     centers : (m, d) float64       circumcenters for (4.5) and (4.11), barycenters for (4.19)
     rho : float or (m,) float64    density, constant on cells
-
-    Returns
-    -------
-    (n, d) float64
     """
     d = cells.shape[1] - 1
     weights = rho * signed_volumes(points, cells)

@@ -170,7 +170,7 @@ def solve_amg(
     tolerance: float = STEP_TOLERANCE,
     iterations: int = ITERATIONS,
 ) -> FloatArray:
-    """Solve A X = B with one hierarchy for all columns.
+    """Solve A X = B for X (v, c), with one hierarchy for all columns.
 
     Parameters
     ----------
@@ -179,10 +179,6 @@ def solve_amg(
     tolerance : float              relative residual of every column; the default is what a step of
                                    the modified Newton method (4.27) can use
     iterations : int               for every column, at most
-
-    Returns
-    -------
-    (v, c) float64
 
     Warns
     -----

@@ -35,7 +35,7 @@ def whole_edges(mesh: SimplexMesh, *, slides: bool) -> IntArray:
 def beside_whole(
     mesh: SimplexMesh, sizes: Sizes, near: BoolArray, *, slides: bool
 ) -> Sizes | None:
-    """Sizes no shorter than the input's at edges that are never cut.
+    """Sizes no shorter than the input's at edges that are never cut; None where they are the same.
 
     Parameters
     ----------
@@ -43,10 +43,6 @@ def beside_whole(
     sizes : Sizes
     near : (m,) bool      cells at whose vertices the edges count
     slides : bool         whether edges of the surface are cut
-
-    Returns
-    -------
-    Sizes, or None where they are the same
     """
     there, whole = np.zeros((2, len(mesh.points)), dtype=np.bool_)
     there[mesh.cells[near]] = True

@@ -44,14 +44,7 @@ def spread(
 def fitting(
     points: FloatArray, edges: IntArray, sizes: FloatArray, features: Features, tracks: Tracks
 ) -> FloatArray:
-    """Sizes (n,) near what stays: as long as edges that are held, no longer than a track.
-
-    Parameters
-    ----------
-    points : (n, 3) float64, edges : (e, 2) int32
-    sizes : (n,) float64
-    features : Features, tracks : Tracks
-    """
+    """Sizes (n,) near what stays: as long as edges that are held, no longer than a track."""
     nodes = features.lines.nodes
     out = sizes.astype(np.float64)
     total, count = np.zeros(len(out)), np.zeros(len(out))

@@ -160,12 +160,7 @@ def measured(mesh: SimplexMesh, kept: Kept, points: FloatArray, cells: IntArray)
 def feet_on(
     points: FloatArray, triangles: IntArray, x: FloatArray
 ) -> tuple[IntArray, FloatArray]:
-    """Triangle and barycentric coordinates of the places of a surface closest to points x.
-
-    Parameters
-    ----------
-    points : (n, 3) float64, triangles : (m, 3) int32
-    x : (k, 3) float64
+    """Triangle and barycentric coordinates of the places of a surface closest to points x (k, 3).
 
     Returns
     -------

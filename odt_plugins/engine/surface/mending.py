@@ -42,11 +42,6 @@ class Pieces(NamedTuple):
 def patches(old: IntArray, new: IntArray, n: int) -> tuple[IntArray, IntArray]:
     """Number the patches of two triangulations of the same ``n`` vertices.
 
-    Parameters
-    ----------
-    old, new : (m, 3) int32
-    n : int
-
     Returns
     -------
     (m,) int32, (m,) int32    patch of every triangle of the one and of the other; each patch has

@@ -26,17 +26,13 @@ ROUNDS = 500
 
 
 def harmonic(values: FloatArray, cells: IntArray, free: LongArray) -> FloatArray:
-    """Values at free vertices that are the means of those of their neighbours.
+    """Values (k, c) at free vertices that are the means of those of their neighbours.
 
     Parameters
     ----------
     values : (n, c) float64        at all vertices; those at free ones do not matter
     cells : (m, d + 1) int32
     free : (k,) int64              vertices; others keep their values
-
-    Returns
-    -------
-    (k, c) float64
 
     Notes
     -----
