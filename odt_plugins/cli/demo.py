@@ -32,7 +32,6 @@ def run_demo(
     out: Path,
     *,
     edge_length: float = EDGE_LENGTH,
-    epsilon: float = EPSILON,
     say: Callable[[str], None] = lambda line: None,
     **options: Any,
 ) -> Report:
@@ -43,7 +42,6 @@ def run_demo(
     out : directory          is made; gets bunny-before.vtu, bunny-after.vtu, report.json and
                              bunny.png
     edge_length : float      for TetWild, relative to the diagonal of the bunny
-    epsilon : float          TetWild's envelope, relative to the diagonal
     say : callable           is told, line by line, what happens
     **options                of :func:`odt_plugins.optimize`
 
@@ -71,7 +69,7 @@ def run_demo(
     say("TetWild fills it with tetrahedra (up to a minute) ...")
     start = time.perf_counter()
     vertices, tets = tetrahedralize(
-        points, faces, edge_length_fac=edge_length, epsilon=epsilon, vtk_ordering=True, odt=False
+        points, faces, edge_length_fac=edge_length, epsilon=EPSILON, vtk_ordering=True, odt=False
     )
     say(f"  {len(vertices)} vertices, {len(tets)} tetrahedra in "
         f"{time.perf_counter() - start:.0f} s")

@@ -83,7 +83,7 @@ def _draw_planar(axis: Any, result: MeshResult, worst: Worst) -> Any:
     axis.add_collection(LineCollection(start.points[shell(start)], colors=INK, linewidths=1.0))
     corners = np.array([c for c, _ in worst])
     painted = _paint(axis, corners, np.array([q for _, q in worst]))
-    _halo(axis, corners.mean(axis=1), start.points)
+    _halo(axis, corners.mean(axis=1))
     _limits(axis, start.points)
     return painted
 
@@ -105,7 +105,7 @@ def _draw_solid(axis: Any, result: MeshResult, worst: Worst) -> Any:
                                        edgecolors="none", rasterized=True))
     cells = np.array([c for c, _ in worst]) @ view.T
     quality = np.array([q for _, q in worst])
-    _halo(axis, cells.mean(axis=1), points)
+    _halo(axis, cells.mean(axis=1))
     sides = ((0, 1, 2),) if cells.shape[1] == 3 else ((1, 2, 3), (0, 2, 3), (0, 1, 3), (0, 1, 2))
     faces = np.concatenate([cells[:, list(s)] for s in sides])
     order = np.argsort(faces.mean(axis=1)[:, 2], kind="stable")
@@ -125,7 +125,7 @@ def _paint(axis: Any, corners: FloatArray, quality: FloatArray) -> Any:
     return painted
 
 
-def _halo(axis: Any, centres: FloatArray, points: FloatArray) -> None:
+def _halo(axis: Any, centres: FloatArray) -> None:
     """Ring the places of the cells, which alone may be too small to see."""
     axis.scatter(centres[:, 0], centres[:, 1], s=70, facecolors="none", edgecolors=GREY,
                  linewidths=0.5, zorder=2)

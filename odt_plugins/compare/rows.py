@@ -155,7 +155,6 @@ def compare_on(
     poisson: bool = True,
     results: Sequence[Path] = (),
     keep: Path | None = None,
-    tell: Callable[[Row], None] = lambda row: None,
     begin: Callable[[Contestant], None] = lambda contestant: None,
 ) -> MeshResult:
     """Run all contestants for this kind of mesh, one after the other, and measure them.
@@ -169,7 +168,6 @@ def compare_on(
     poisson : bool              whether the Poisson problem is solved on every result
     results : sequence of Path  mesh files that are measured as what others made of the start
     keep : Path                 folder for the start and every result, as .vtu files
-    tell : callable             is given every row as soon as it is measured
     begin : callable            is given every contestant before it runs
     """
     before = measure_mesh(start, start.points, start.cells, start.regions, poisson=poisson)
@@ -179,7 +177,6 @@ def compare_on(
     rows = []
     for contestant, run in chain(_runs(start, contestants, limits, begin), files):
         rows.append(make_row(start, contestant, run, limits, poisson=poisson))
-        tell(rows[-1])
         if keep is not None and run.status == "ok":
             keep_mesh(keep, start, contestant.name, *run.meshes[0])
     return MeshResult(start, before, mark(rows))

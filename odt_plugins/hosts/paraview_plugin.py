@@ -183,7 +183,7 @@ class _Working(VTKPythonAlgorithmBase):  # type: ignore[misc]
                 if said is not None:
                     print_error(said)
                     return 0
-                out.ShallowCopy(_read(out, target))
+                out.ShallowCopy(_read(target))
         except (OSError, ValueError) as exc:
             print_error(str(exc))
             return 0
@@ -233,7 +233,7 @@ def _writer(data: Any, path: str) -> None:
     writer.Write()
 
 
-def _read(like: Any, path: str) -> Any:
+def _read(path: str) -> Any:
     from vtkmodules.vtkIOXML import vtkXMLPolyDataReader, vtkXMLUnstructuredGridReader
 
     reader = (vtkXMLPolyDataReader if path.endswith(".vtp") else vtkXMLUnstructuredGridReader)()

@@ -92,9 +92,7 @@ def approximate_gradient(
     return centers_gradient(points, cells, barycenters(points, cells), rho)
 
 
-def optimality_residual(
-    points: FloatArray, cells: IntArray, movable: BoolArray, rho: CellDensity = 1.0
-) -> float:
+def optimality_residual(points: FloatArray, cells: IntArray, movable: BoolArray) -> float:
     """How far the mesh is from (4.7), x_i = sum |tau| c_tau / |omega_i|.
 
     Parameters
@@ -102,7 +100,6 @@ def optimality_residual(
     points : (n, d) float64
     cells : (m, d + 1) int32
     movable : (n,) bool            vertices of which (4.7) is asked
-    rho : float or (m,) float64    density, constant on cells
 
     Returns
     -------
@@ -116,7 +113,7 @@ def optimality_residual(
     touched = movable[cells].any(axis=1)
     used, local = np.unique(cells[touched], return_inverse=True)
     local_cells = local.reshape(-1, d + 1).astype(np.int32)
-    weights = (rho * volumes)[touched]
+    weights = volumes[touched]
     centers = circumcenters(points, cells[touched])
     target = star_average(centers, weights, local_cells, len(used))
     size = star_average(

@@ -80,7 +80,7 @@ def broken_surface_promises(
         lost = np.setxor1d(cells, np.flatnonzero(used))
         broken.append(f"vertex {lost[0]} came into use or out of it, {len(lost)} in all")
     old, new = surface_edges(before.cells, n), surface_edges(cells, n)
-    broken += _torn(before, old, cells, regions, new, lines)
+    broken += _torn(before, old, regions, new, lines)
     broken += _resewn(before.cells, old, cells, new, n)
     broken += _thawed(before, cells, regions)
     broken += _folded(before.points, before.cells, old, points, cells, new, envelope)
@@ -124,8 +124,7 @@ def _keys(pairs: NDArray[Any], n: int) -> NDArray[np.int64]:
 
 
 def _torn(
-    before: SimplexMesh, old: Edges, cells: NDArray[Any], regions: NDArray[Any], new: Edges,
-    lines: NDArray[Any] | None,
+    before: SimplexMesh, old: Edges, regions: NDArray[Any], new: Edges, lines: NDArray[Any] | None
 ) -> list[str]:
     """Compare the edges that must stay: rims, where several sheets meet, label borders, lines."""
     n = len(before.points)

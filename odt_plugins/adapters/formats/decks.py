@@ -133,18 +133,6 @@ def expect_points(rows: NDArray[np.int64], count: int, first: int = 0) -> None:
         raise KeyError(int(bad[0]) + first)
 
 
-def expect_same_points(change: Change) -> None:
-    """See whether no point came or went.
-
-    Raises
-    ------
-    NotRewritable    one did
-    """
-    if change.renumbered:
-        msg = "points came or went, which are numbered by their places"
-        raise NotRewritable(msg)
-
-
 def real(x: float, width: int = 24) -> bytes:
     """Text of at most `width` letters that reads as a number, or as the nearest that has one.
 

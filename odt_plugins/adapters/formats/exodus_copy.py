@@ -92,7 +92,6 @@ def _changed(file: Any, change: Change) -> tuple[dict[str, Any], dict[str, int]]
     points = np.asarray(change.after.points)
     sides = side_sets_of(file, blocks, points.shape[1] == 3)
     rows = {b.number: change.cells[i] for i, b in enumerate(blocks)}
-    count = size_of(file, "num_elem")
     moved = [len(rows[b.number]) != len(b.rows) or bool(change.exchanged(i).any())
              or not np.array_equal(rows[b.number], np.arange(len(b.rows)))
              for i, b in enumerate(blocks)]
@@ -106,7 +105,7 @@ def _changed(file: Any, change: Change) -> tuple[dict[str, Any], dict[str, int]]
     values: dict[str, Any] = {}
     sizes: dict[str, int] = {}
     for name, variable in file.variables.items():
-        taken = _taken(variable, name, change, rows, source, count)
+        taken = _taken(variable, name, change, rows, source)
         if taken is not None:
             values[name] = taken
     _write_points(file, points, values)
@@ -125,9 +124,7 @@ def _changed(file: Any, change: Change) -> tuple[dict[str, Any], dict[str, int]]
                     if name in file.dimensions and size != size_of(file, name)}
 
 
-def _taken(
-    variable: Any, name: str, change: Change, rows: Any, source: Any, count: int
-) -> Any:
+def _taken(variable: Any, name: str, change: Change, rows: Any, source: Any) -> Any:
     """Values of a variable that has a row for each element or node; None of others."""
     axes = [(axis, dim) for axis, dim in enumerate(variable.dimensions)
             if dim in ("num_elem", "num_nodes") or dim.startswith("num_el_in_blk")]

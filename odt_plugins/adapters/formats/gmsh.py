@@ -52,11 +52,11 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
     """
     file = gmsh_read.parsed(source.read_bytes())
     nodes, runs, entities = gmsh_read.tables(file)
-    _expect_known(file, nodes, change)
+    _expect_known(nodes, change)
     if _plain(file, nodes) and (change.number < 0).any():
         raise NotRewritable
     parts = gmsh_read.values_of(file)
-    rows = _emitted(runs, _homes(runs, nodes, entities, change), nodes, change)
+    rows = _emitted(runs, _homes(runs, nodes, entities, change), change)
     rows = _in_order(rows) if _ordered(runs, parts) else rows
     exchanged = any(row.fresh.any() or len(row.fresh) != len(run.numbers)
                     for run, row in zip(runs, rows, strict=True))
@@ -89,7 +89,7 @@ def _plain(file: File, nodes: Nodes) -> bool:
             and np.array_equal(nodes.tags, np.arange(1, len(nodes.tags) + 1)))
 
 
-def _expect_known(file: File, nodes: Nodes, change: Change) -> None:
+def _expect_known(nodes: Nodes, change: Change) -> None:
     """See whether the mesh has the nodes, arrays, names and sets of the file.
 
     Raises
@@ -187,7 +187,7 @@ def _entity(run: Run, entities: Any) -> NDArray[np.int64]:
     return run.tags[:, 1] if run.tags.shape[1] > 1 else np.zeros(len(run.numbers), dtype=np.int64)
 
 
-def _emitted(runs: list[Run], homes: Any, nodes: Nodes, change: Change) -> list[_Rows]:
+def _emitted(runs: list[Run], homes: Any, change: Change) -> list[_Rows]:
     """Say which elements take the place of those of every run, with their numbers."""
     order = [np.argsort(rows, kind="stable") for rows in change.cells]
     ranked = [rows[one] for rows, one in zip(change.cells, order, strict=True)]

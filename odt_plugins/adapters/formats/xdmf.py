@@ -198,7 +198,7 @@ def layout_of(doc: Document) -> Layout:
     first = max(cells, key=lambda own: max(map(_dim, own.parts), default=0))
     dim = max(map(_dim, first.parts), default=0)
     blocks = list(first.parts)
-    cells = [_located(own, blocks, dim, first, len(points)) for own in cells]
+    cells = [_located(own, blocks, dim, first) for own in cells]
     arrays, whole, unknown = _arrays(doc, grids, cells)
     sets, more = _sets(doc, grids, cells, len(points))
     return Layout(points, geometries, blocks, cells, sets, arrays, whole, unknown + more)
@@ -374,7 +374,7 @@ def _dim(part: tuple[str, Any]) -> int:
 
 
 def _located(
-    own: Cells, blocks: list[tuple[str, NDArray[np.int64]]], dim: int, first: Cells, count: int
+    own: Cells, blocks: list[tuple[str, NDArray[np.int64]]], dim: int, first: Cells
 ) -> Cells:
     """Find the cells of a grid among the blocks, to which facets that are not there are added."""
     if own is first:

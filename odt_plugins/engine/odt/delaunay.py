@@ -30,6 +30,8 @@ VOLUME_TOLERANCE = 1e-9
 """Two pieces fill the same space when their volumes agree to this relative difference."""
 ENERGY_TOLERANCE = 1e-12
 """Relative fall below which an energy counts as unchanged: ties of cospherical vertices."""
+COSPHERICAL = 1e-12
+"""Part of its size up to which a lifted determinant is taken for that of cospherical vertices."""
 
 
 @dataclass(frozen=True)
@@ -199,7 +201,7 @@ def delaunay_exchange(
 
 
 def non_delaunay_facets(
-    points: FloatArray, cells: IntArray, neighbors: IntArray, *, tolerance: float = 1e-12
+    points: FloatArray, cells: IntArray, neighbors: IntArray
 ) -> IntArray:
     """List the interior facets that are not locally Delaunay (Definition 2.1, Section 3.1).
 
@@ -208,7 +210,6 @@ def non_delaunay_facets(
     points : (n, d) float64         coordinates, d = 2 or 3
     cells : (m, d + 1) int32        signed volumes positive
     neighbors : (m, d + 1) int32    cell across the facet opposite each vertex, -1 at the boundary
-    tolerance : float               relative to the size of the lifted determinant
 
     Returns
     -------
@@ -232,7 +233,7 @@ def non_delaunay_facets(
     inside = np.zeros(len(owner))
     for i in range(dim + 1):
         inside += (-1) ** i * height[:, i] * determinant(np.delete(rows, i, axis=0))
-    bad = inside > tolerance * size
+    bad = inside > COSPHERICAL * size
     return np.stack([owner[bad], side[bad]], axis=1).astype(np.int32)
 
 

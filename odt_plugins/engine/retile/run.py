@@ -239,7 +239,7 @@ def _judged(
             broken.append(f"the surface folds back at {counted(len(fresh), 'edge')}")
             bad[fresh] = True
     far, near = [0.0, 0.0], points[:0]
-    pairs = _lines(mesh.cells, mesh.regions, old), _lines(cells, outcome.regions, new)
+    pairs = _lines(mesh.regions, old), _lines(outcome.regions, new)
     surfaces = [(pairs[0][name], pairs[1].get(name, cells[:0])) for name in pairs[0]]
     surfaces += [(lines.rows[lines.labels == label][:, [0, 1, 1]],
                   now.rows[now.labels == label][:, [0, 1, 1]])
@@ -285,7 +285,7 @@ def _around(mesh: SimplexMesh, labels: list[int]) -> BoolArray:
     return np.asarray(rim[mesh.cells].any(axis=1))
 
 
-def _lines(cells: IntArray, regions: IntArray, edges: Edges) -> dict[tuple[int, ...], IntArray]:
+def _lines(regions: IntArray, edges: Edges) -> dict[tuple[int, ...], IntArray]:
     """Rims, seams and borders as triangles without area, by the labels at them and their degree."""
     low, high = labels_beside(regions, edges)
     border = np.flatnonzero((edges.degree != 2) | (low != high))

@@ -9,7 +9,6 @@ import numpy as np
 
 from odt_plugins.engine.cells.extremes import FREELY, Extremes
 from odt_plugins.engine.ground.build import make_ground, make_sheet
-from odt_plugins.engine.ground.closest import Ground
 from odt_plugins.engine.ground.features import Features, find_features
 from odt_plugins.engine.ground.feet import reaching
 from odt_plugins.engine.ground.sheet import LINE
@@ -100,7 +99,7 @@ def resize(
         sizes = fitting(points, edges.vertices, sizes, features, tracks)
     around = np.full(len(triangles), np.inf) if flat else reach
     rules = Rules(ground, tracks, around, cosine, bounds, LONGEST, SHORTEST)
-    net = _net(base, features, marks, sizes, ground)
+    net = _net(base, features, marks, sizes)
     passes = Passes(rules, sizes, base.metric, base.thin, most)
     for turn in range(ROUNDS):
         net = passes.split(net, bounds if turn else FREELY)
@@ -160,9 +159,7 @@ def _tracks(base: Base, features: Features, reach: FloatArray) -> tuple[Tracks, 
     ), marks
 
 
-def _net(
-    base: Base, features: Features, marks: IntArray, sizes: FloatArray, ground: Ground
-) -> Net:
+def _net(base: Base, features: Features, marks: IntArray, sizes: FloatArray) -> Net:
     """The surface before anything is changed."""
     n, m = len(base.points), len(base.triangles)
     sheet = make_sheet(base.points, base.triangles, base.edges, features)

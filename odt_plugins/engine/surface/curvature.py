@@ -31,7 +31,7 @@ RATIO = 4.0
 
 
 def vertex_curvature(
-    points: FloatArray, triangles: IntArray, neighbors: IntArray, passes: int = AVERAGES
+    points: FloatArray, triangles: IntArray, neighbors: IntArray
 ) -> FloatArray:
     """Curvature sqrt(kappa_1^2 + kappa_2^2) at the vertices of a surface.
 
@@ -41,7 +41,6 @@ def vertex_curvature(
     triangles : (m, 3) int32    oriented alike across an edge that has a neighbour
     neighbors : (m, 3) int32    triangle across the edge opposite to a corner; -1 outside and
                                 where the surface is not to count as curved: at feature edges
-    passes : int                averaging passes over the tensors, weighted by area
 
     Returns
     -------
@@ -90,7 +89,7 @@ def vertex_curvature(
     tensor = star_sum(tensors * weight[:, None], triangles, n)
     share = star_sum(area * weight, triangles, n)
     i, j, k = triangles.T
-    for _ in range(passes):
+    for _ in range(AVERAGES):
         tensor = star_sum(tensor[i] + tensor[j] + tensor[k], triangles, n)
         share = star_sum(share[i] + share[j] + share[k], triangles, n)
     square = (tensor[:, :3] ** 2).sum(axis=1) + 2.0 * (tensor[:, 3:] ** 2).sum(axis=1)
