@@ -168,7 +168,7 @@ def simplex_mesh(
     if t.shape[1] != p.shape[1] + 1:
         msg = f"got triangles with points of dimension {p.shape[1]}; expected points (n, 2)"
         raise InvalidMeshError(msg)
-    _check_vertices(t)
+    check_vertices(t)
     sign, size = cell_signs(p, t, threads)
     _check_sizes(sign, size, p.shape[1])
     orientation = -1 if (sign < 0).all() else 1
@@ -359,7 +359,8 @@ def _cells(cells: ArrayLike, shape: tuple[int, ...]) -> IntArray:
     return np.array(raw, dtype=np.int32, order="C")
 
 
-def _check_vertices(t: IntArray) -> None:
+def check_vertices(t: IntArray) -> None:
+    """Refuse cells with a vertex twice."""
     same = np.zeros(len(t), dtype=np.bool_)
     for i, j in combinations(range(t.shape[1]), 2):
         same |= t[:, i] == t[:, j]
@@ -433,15 +434,10 @@ def _check_sizes(sign: NDArray[np.int8], size: FloatArray, d: int) -> None:
         raise TangledMeshError(msg, bad)
 
 
-def refuse_overlaps(mesh: SimplexMesh, sign: NDArray[np.int8]) -> None:
-    """Say where two cells are on the same side of a facet; three on one always hold such a pair.
-
-    ``sign`` (m,) are the signs of the volumes with which the cells came.
-    """
-    t, n = mesh.cells, len(mesh.points)
-    key, side = directed_facets(t, n)
-    ordered = np.sort(t, axis=1)
-    _, first, inverse = np.unique(row_keys(ordered, n), return_index=True, return_inverse=True)
+def refuse_repeated(t: IntArray, n: int) -> None:
+    """Refuse cells, of n vertices, with the same vertices as an earlier one."""
+    _, first, inverse = np.unique(
+        row_keys(np.sort(t, axis=1), n), return_index=True, return_inverse=True)
     repeated = np.flatnonzero(first[inverse] != np.arange(len(t)))
     if repeated.size:
         msg = (
@@ -449,12 +445,22 @@ def refuse_overlaps(mesh: SimplexMesh, sign: NDArray[np.int8]) -> None:
             f"{first[inverse[repeated[0]]]}); expected each cell once, try removing repeated cells"
         )
         raise InvalidMeshError(msg)
+
+
+def refuse_overlaps(mesh: SimplexMesh, sign: NDArray[np.int8]) -> None:
+    """Say where two cells are on the same side of a facet; three on one always hold such a pair.
+
+    ``sign`` (m,) are the signs of the volumes with which the cells came.
+    """
+    t, n = mesh.cells, len(mesh.points)
+    refuse_repeated(t, n)
+    key, side = directed_facets(t, n)
     noun = "edge" if t.shape[1] == 3 else "face"
     _, inverse, count = np.unique(key, return_inverse=True, return_counts=True)
     crowded = np.flatnonzero((count[inverse] > 2).reshape(key.shape).any(axis=1))
     if crowded.size:
         column = int(np.flatnonzero(count[inverse].reshape(key.shape)[crowded[0]] > 2)[0])
-        vertices = np.delete(ordered[crowded[0]], column).tolist()
+        vertices = np.delete(np.sort(t[crowded[0]]), column).tolist()
         n_crowded = int((count > 2).sum())
         verb = "belongs" if n_crowded == 1 else "belong"
         msg = (

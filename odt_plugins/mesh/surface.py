@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -11,12 +10,13 @@ from numpy.typing import ArrayLike, NDArray
 from odt_plugins.errors import InvalidMeshError, counted
 from odt_plugins.mesh.arrays import BoolArray, IntArray
 from odt_plugins.mesh.components import components
-from odt_plugins.mesh.facets import row_keys
 from odt_plugins.mesh.simplex import (
     SimplexMesh,
+    check_vertices,
     compact_labels,
     freeze,
     mesh_arrays,
+    refuse_repeated,
     reverse,
     vertex_mask,
 )
@@ -108,10 +108,17 @@ def surface_mesh(
     """
     p, t = mesh_arrays(points, cells)
     n = len(p)
-    _check_corners(p, t)
+    check_vertices(t)
+    refuse_repeated(t, n)
+    if (p[t] == p[t[0, 0]]).all():
+        msg = (
+            f"got {counted(len(t), 'cell')} (first: cell 0) with all vertices at one place; "
+            f"expected a surface"
+        )
+        raise InvalidMeshError(msg)
     edges = surface_edges(t, n)
     count = 0
-    turned = _disagreeing(edges)
+    turned = opposed(edges)
     if turned.size and orient:
         against = to_turn(t, edges)
         if against is not None:
@@ -148,41 +155,10 @@ def surface_mesh(
 def disagreeing_edges(mesh: SimplexMesh) -> IntArray:
     """Edges (k, 2) of two triangles that disagree about the outside."""
     edges = surface_edges(mesh.cells, len(mesh.points))
-    return edges.vertices[_disagreeing(edges)]
+    return edges.vertices[opposed(edges)]
 
 
-def _check_corners(p: NDArray[np.float64], t: IntArray) -> None:
-    same = np.zeros(len(t), dtype=np.bool_)
-    for i, j in combinations(range(3), 2):
-        same |= t[:, i] == t[:, j]
-    bad = np.flatnonzero(same)
-    if bad.size:
-        msg = (
-            f"got {counted(bad.size, 'cell')} (first: cell {bad[0]}) with a vertex used twice; "
-            f"expected 3 different vertices, try removing such cells"
-        )
-        raise InvalidMeshError(msg)
-    ordered = np.sort(t, axis=1)
-    _, first, inverse = np.unique(
-        row_keys(ordered, len(p)), return_index=True, return_inverse=True
-    )
-    again = np.flatnonzero(first[inverse] != np.arange(len(t)))
-    if again.size:
-        msg = (
-            f"got {counted(again.size, 'cell')} (first: cell {again[0]}) with the same vertices as "
-            f"an earlier cell (cell {first[inverse[again[0]]]}); expected each cell once, try "
-            f"removing repeated cells"
-        )
-        raise InvalidMeshError(msg)
-    if (p[t] == p[t[0, 0]]).all():
-        msg = (
-            f"got {counted(len(t), 'cell')} (first: cell 0) with all vertices at one place; "
-            f"expected a surface"
-        )
-        raise InvalidMeshError(msg)
-
-
-def _disagreeing(edges: Edges) -> NDArray[np.intp]:
+def opposed(edges: Edges) -> NDArray[np.intp]:
     """Edges of two triangles that run through them the same way."""
     ways = np.bincount(edges.of_cell.ravel(), edges.forward.ravel(), minlength=len(edges.degree))
     return np.flatnonzero((edges.degree == 2) & (ways != 1))

@@ -7,7 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from odt_plugins.figures import QualitySummary
+import numpy as np
+from numpy.typing import NDArray
+
+from odt_plugins.figures import CellFigures, QualitySummary, summarize
+from odt_plugins.mesh.seen import as_seen
+from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.options import KEPT
 from odt_plugins.promise.volume import LOWER_IS_BETTER, worse_figures
 
@@ -39,3 +44,18 @@ def fallen_figures(
         if not enough:
             poor.append(name)
     return worse_figures(old, new, poor)
+
+
+def fallen_since(
+    before: SimplexMesh, points: NDArray[np.float64], cells: NDArray[np.int32],
+    metric: NDArray[np.float64], keep: Sequence[str], figures: CellFigures | None = None,
+) -> list[str]:
+    """Say as :func:`fallen_figures` which figures of a remeshed mesh got worse, as metrics see it.
+
+    ``figures`` are those of the mesh without a metric, when they are at hand.
+    """
+    if not keep:
+        return []
+    old = summarize(*as_seen(before.points, before.cells, before.metric))
+    new = summarize(*as_seen(points, cells, metric), None if len(metric) else figures)
+    return fallen_figures(old, new, keep, cells.shape[1])

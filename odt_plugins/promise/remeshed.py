@@ -12,15 +12,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.figures import cell_figures, summarize
+from odt_plugins.figures import cell_figures
 from odt_plugins.mesh.components import components
 from odt_plugins.mesh.faces import Faces, labels_at
 from odt_plugins.mesh.facets import row_keys, uneven_facets
 from odt_plugins.mesh.numbering import in_old_numbers, old_numbers, removed_vertices
-from odt_plugins.mesh.seen import as_seen
 from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.promise.faces import broken_lines
-from odt_plugins.promise.good import fallen_figures
+from odt_plugins.promise.good import fallen_since
 from odt_plugins.promise.locked_facets import LockedFacets, facet_census
 from odt_plugins.promise.region_sizes import broken_sizes
 from odt_plugins.promise.volume import (
@@ -79,11 +78,7 @@ def broken_by_remeshing(
     if not slides:
         broken = broken_promises(before, points, cells, regions, (), origin=origin, insert=share,
                                  threads=threads)
-        if keep and not broken:
-            broken = fallen_figures(
-                summarize(*as_seen(before.points, before.cells, before.metric)),
-                summarize(*as_seen(points, cells, metric)), keep, 4)
-        return broken
+        return broken or fallen_since(before, points, cells, metric, keep)
     broken = _malformed(before, points, cells, regions, origin)
     if broken:
         return broken
@@ -103,10 +98,7 @@ def broken_by_remeshing(
     broken += _dropped(held["unused"], numbered, removed, len(together))
     broken += _overlapping(overlaps)
     broken += _thawed(before, numbered, regions, len(together))
-    if keep:
-        broken += fallen_figures(
-            summarize(*as_seen(before.points, before.cells, before.metric)),
-            summarize(*as_seen(points, cells, metric), None if len(metric) else figures), keep, 4)
+    broken += fallen_since(before, points, cells, metric, keep, figures)
     old = facet_census(before.cells, before.regions, len(before.points), before.uneven)[0]
     was, now = _pieces(old, before.faces[1]), _pieces(new, faces[1])
     broken += broken_lines(before.faces[0], faces[0], cells)

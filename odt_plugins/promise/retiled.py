@@ -11,16 +11,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.figures import cell_figures, summarize
+from odt_plugins.figures import cell_figures
 from odt_plugins.mesh.components import components
 from odt_plugins.mesh.faces import Faces
 from odt_plugins.mesh.facets import row_keys
 from odt_plugins.mesh.numbering import old_numbers
-from odt_plugins.mesh.seen import as_seen
 from odt_plugins.mesh.simplex import SimplexMesh
-from odt_plugins.mesh.surface import Edges, surface_edges
+from odt_plugins.mesh.surface import Edges, opposed, surface_edges
 from odt_plugins.promise.faces import broken_lines
-from odt_plugins.promise.good import fallen_figures
+from odt_plugins.promise.good import fallen_since
 from odt_plugins.promise.region_sizes import broken_sizes
 from odt_plugins.promise.volume import _not_positive
 
@@ -75,7 +74,7 @@ def broken_by_retiling(
             broken.append(f"triangle {flat.argmax()} has no area, {flat.sum()} in all")
     old, new = (surface_edges(t, len(x)) for t, x in (
         (before.cells, before.points), (cells, points)))
-    turned = [int(_turned(e).sum()) for e in (old, new)]
+    turned = [len(opposed(e)) for e in (old, new)]
     if turned[1] > turned[0]:
         broken.append(f"the triangles at {turned[1]} edges disagree about the outside, those at "
                       f"{turned[0]} did")
@@ -87,11 +86,7 @@ def broken_by_retiling(
     broken += broken_lines(before.faces[0], lines, cells)
     if planar:
         broken += broken_sizes(before, points, cells, regions)
-    if keep:
-        broken += fallen_figures(
-            summarize(*as_seen(before.points, before.cells, before.metric)),
-            summarize(*as_seen(points, cells, metric)), keep, 3)
-    return broken
+    return broken + fallen_since(before, points, cells, metric, keep)
 
 
 def without_area(
@@ -161,12 +156,6 @@ def _moved(
         if gone.any():
             sentences.append(f"{int(gone.sum())} frozen triangles are gone")
     return sentences
-
-
-def _turned(edges: Edges) -> NDArray[np.bool_]:
-    """Edges (e,) of two triangles that disagree about the outside."""
-    ways = np.bincount(edges.of_cell.ravel(), edges.forward.ravel(), minlength=len(edges.degree))
-    return np.asarray((edges.degree == 2) & (ways != 1))
 
 
 def _shapes(cells: Any, regions: Any, edges: Edges) -> dict[str, Shape]:

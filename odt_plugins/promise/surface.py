@@ -17,7 +17,7 @@ from odt_plugins.mesh.components import components
 from odt_plugins.mesh.facets import row_keys
 from odt_plugins.mesh.seen import NO_METRIC, as_seen
 from odt_plugins.mesh.simplex import SimplexMesh
-from odt_plugins.mesh.surface import Edges, surface_edges
+from odt_plugins.mesh.surface import Edges, opposed, surface_edges
 from odt_plugins.options import KEPT
 from odt_plugins.promise.volume import worse_figures
 
@@ -159,8 +159,8 @@ def _resewn(
     sentences = []
     if len(old.degree) != len(new.degree):
         sentences.append(f"there are {len(new.degree)} edges, there were {len(old.degree)}")
-    was, now = (_keys(e.vertices[_turned(e)], n) for e in (old, new))
-    turned = np.flatnonzero(_turned(new))[~np.isin(now, was)]
+    was, now = (_keys(e.vertices[opposed(e)], n) for e in (old, new))
+    turned = opposed(new)[~np.isin(now, was)]
     if len(turned):
         first = tuple(new.vertices[turned[0]].tolist())
         sentences.append(f"the triangles at edge {first} disagree about the outside, "
@@ -176,12 +176,6 @@ def _resewn(
     if not np.array_equal(_pieces(old, n), _pieces(new, n)):
         sentences.append("the connected pieces have other vertices than before")
     return sentences
-
-
-def _turned(edges: Edges) -> NDArray[np.bool_]:
-    """Edges (e,) of two triangles that disagree about the outside."""
-    ways = np.bincount(edges.of_cell.ravel(), edges.forward.ravel(), minlength=len(edges.degree))
-    return np.asarray((edges.degree == 2) & (ways != 1))
 
 
 def _first_members(rows: NDArray[Any], columns: NDArray[Any], size: int) -> NDArray[np.int32]:
