@@ -24,8 +24,11 @@ from odt_plugins.compare.manuscript import (
 from odt_plugins.compare.measures import FURTHER
 from odt_plugins.compare.pictures import worst_cells
 from odt_plugins.compare.rows import Measured, MeshResult, Row
+from odt_plugins.compare.runner import Limits
 from odt_plugins.compare.score import score_table, scores, verdict
 from odt_plugins.errors import writing
+from odt_plugins.generate.clouds import SEED
+from odt_plugins.report.machine import describe
 from odt_plugins.report.template import fill_template
 
 FILES = ("comparison.csv", "comparison.json", "comparison.html", "comparison.md",
@@ -33,6 +36,19 @@ FILES = ("comparison.csv", "comparison.json", "comparison.html", "comparison.md"
 """What is written; LaTeX finds in the last what the tables cite."""
 
 Facts = dict[str, str | int]
+
+
+def write_rows_of(out: Path, name: str, rows: Sequence[Any], limits: Limits) -> None:
+    """Write what one suite measured into a file of the directory `out`, which is made.
+
+    Raises
+    ------
+    MeshFileError             `out` cannot be written to
+    """
+    values = {"machine": describe(limits.threads, SEED), "rows": rows}
+    with writing(f"into {out}", "another --out"):
+        out.mkdir(parents=True, exist_ok=True)
+        (out / name).write_text(json.dumps(values, indent=1) + "\n", encoding="utf-8")
 
 
 def write_all(out: Path, results: Sequence[MeshResult], facts: Facts, command: str) -> None:

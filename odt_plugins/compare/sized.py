@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from itertools import product
@@ -13,17 +12,16 @@ from typing import Any
 import numpy as np
 
 from odt_plugins.compare.baselines.task import edge_lengths, in_space, mean_edge
-from odt_plugins.compare.contestants import CURVED, FLAT, OURS, SOLID, Contestant
+from odt_plugins.compare.contestants import CURVED, FLAT, OURS, SOLID, Contestant, of_families
 from odt_plugins.compare.hull import hull_facets
+from odt_plugins.compare.output import write_rows_of
 from odt_plugins.compare.rows import oriented
 from odt_plugins.compare.runner import Limits, Run, run_contestant
 from odt_plugins.compare.start import StartMesh, plate, stored
 from odt_plugins.compare.table import Say, Table, as_text
-from odt_plugins.errors import writing
 from odt_plugins.generate.clouds import SEED
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.simplex import diagonal
-from odt_plugins.report.machine import describe
 
 FILE = "sized.json"
 
@@ -92,7 +90,7 @@ def run_sized(
     MeshFileError             `out` cannot be written to
     """
     starts = starts or [stored("bunny"), plate(4000), stored("bunny-surface")]
-    chosen = [c for c in CONTESTANTS if c.name == OURS or not against or c.family in against]
+    chosen = of_families(CONTESTANTS, against)
     rows: list[dict[str, Any]] = []
     for start, envelope, factor in product(starts, ENVELOPES, FACTORS):
         size = factor * mean_edge(start)
@@ -117,10 +115,7 @@ def run_sized(
          "Small: cells with an angle below 20 degrees in space, 30 of triangles. There and back: "
          "largest distance of samples from the surface or rim of the other, in parts of the "
          "diagonal."])
-    values = {"machine": describe(limits.threads, SEED), "rows": rows}
-    with writing(f"into {out}", "another --out"):
-        out.mkdir(parents=True, exist_ok=True)
-        (out / FILE).write_text(json.dumps(values, indent=1) + "\n", encoding="utf-8")
+    write_rows_of(out, FILE, rows, limits)
     return "\n".join(as_text(table))
 
 

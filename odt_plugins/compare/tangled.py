@@ -5,7 +5,6 @@ What odt-plugins makes of them is held against what it makes of the mesh without
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
@@ -15,17 +14,16 @@ from typing import Any
 
 import numpy as np
 
-from odt_plugins.compare.contestants import FLAT, OURS, SOLID, Contestant
+from odt_plugins.compare.contestants import FLAT, OURS, SOLID, Contestant, of_families
 from odt_plugins.compare.hull import held_vertices
+from odt_plugins.compare.output import write_rows_of
 from odt_plugins.compare.runner import Limits, Run, run_contestant
 from odt_plugins.compare.start import StartMesh
 from odt_plugins.compare.table import Say, Table, as_text
-from odt_plugins.errors import writing
 from odt_plugins.figures import EDGES, summarize
 from odt_plugins.generate.clouds import SEED
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.mesh.simplex import cell_signs
-from odt_plugins.report.machine import describe
 
 FILE = "tangled.json"
 
@@ -89,20 +87,10 @@ def run_tangled(
 ) -> str:
     """Tangle every mesh in every way, let the tools mend it, write FILE; the table as text.
 
-    Parameters
-    ----------
-    out : Path                is made
-    starts : valid meshes     of triangles in the plane or tetrahedra
-    against : names           families of tools besides odt-plugins; all unless given
-    limits : Limits
-    say : callable            is told what is being worked on
-    run : callable            takes the place of :func:`run_contestant`
-
-    Raises
-    ------
-    MeshFileError             `out` cannot be written to
+    Parameters and errors are those of :func:`odt_plugins.compare.sized.run_sized`, but `starts` are
+    all the meshes: valid ones, of triangles in the plane or tetrahedra.
     """
-    chosen = [c for c in CONTESTANTS if c.name == OURS or not against or c.family in against]
+    chosen = of_families(CONTESTANTS, against)
     rows: list[dict[str, Any]] = []
     for start in starts:
         known: dict[bytes, dict[str, Any]] = {}
@@ -129,10 +117,7 @@ def run_tangled(
         [f"odt-plugins mended {mended} of {len(rows)}; in {possible} of them no inverted cell had "
          f"all its vertices on the boundary or an interface"],
     )
-    values = {"machine": describe(limits.threads, SEED), "rows": rows}
-    with writing(f"into {out}", "another --out"):
-        out.mkdir(parents=True, exist_ok=True)
-        (out / FILE).write_text(json.dumps(values, indent=1) + "\n", encoding="utf-8")
+    write_rows_of(out, FILE, rows, limits)
     return "\n".join(as_text(table))
 
 
