@@ -8,14 +8,13 @@ from io import BytesIO
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from odt_plugins.compare.contestants import OURS
 from odt_plugins.compare.hull import shell
 from odt_plugins.compare.rows import MeshResult, Row
 from odt_plugins.errors import MissingDependencyError
 from odt_plugins.mesh.arrays import FloatArray
-from odt_plugins.report.plotting import BLUE, GREY, INK
+from odt_plugins.report.plotting import BLUE, GREY, INK, slightly_turned
 
 SCALE = (0.0, 0.6)
 """Radius ratios at the ends of the colours."""
@@ -91,7 +90,7 @@ def _draw_planar(axis: Any, result: MeshResult, worst: Worst) -> Any:
 def _draw_solid(axis: Any, result: MeshResult, worst: Worst) -> Any:
     from matplotlib.collections import PolyCollection
 
-    start, view = result.start, _view()
+    start, view = result.start, slightly_turned()
     points = start.points @ view.T
     facets = shell(start)
     corners = points[facets[:: len(facets) // MOST_FACETS + 1]]
@@ -135,13 +134,3 @@ def _limits(axis: Any, points: FloatArray) -> None:
     low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
     room = 0.04 * (high - low).max()
     axis.set(xlim=(low[0] - room, high[0] + room), ylim=(low[1] - room, high[1] + room))
-
-
-def _view() -> NDArray[np.float64]:
-    """Rows: right, up and towards the eye of a slightly turned view, y upwards."""
-    turn, tilt = np.radians(-18.0), np.radians(14.0)
-    c, s = np.cos(turn), np.sin(turn)
-    around = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
-    c, s = np.cos(tilt), np.sin(tilt)
-    over = np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
-    return np.asarray(over @ around)

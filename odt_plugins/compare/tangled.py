@@ -20,10 +20,10 @@ from odt_plugins.compare.output import write_rows_of
 from odt_plugins.compare.runner import Limits, Run, run_contestant
 from odt_plugins.compare.start import StartMesh
 from odt_plugins.compare.table import Say, Table, as_text
+from odt_plugins.engine.untangle.places import bad_cells
 from odt_plugins.figures import EDGES, summarize
 from odt_plugins.generate.clouds import SEED
-from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
-from odt_plugins.mesh.simplex import cell_signs
+from odt_plugins.mesh.arrays import FloatArray
 
 FILE = "tangled.json"
 
@@ -102,7 +102,7 @@ def run_tangled(
             if whole is None:
                 whole = _told(as_it_was, run(as_it_was, CONTESTANTS[0], limits))
                 known[places.tobytes()] = whole
-            bad = inverted(points, start.cells)
+            bad = bad_cells(points, start.cells)
             free = (~held_vertices(start))[start.cells].any(axis=1)
             rows.append({
                 "mesh": start.name, "how": how, "inverted": int(bad.sum()),
@@ -121,12 +121,6 @@ def run_tangled(
     return "\n".join(as_text(table))
 
 
-def inverted(points: FloatArray, cells: IntArray) -> BoolArray:
-    """Mark the cells (m,) that are inverted or flat."""
-    bad: BoolArray = cell_signs(points, cells)[0] <= 0
-    return bad
-
-
 def _told(start: StartMesh, run: Run) -> dict[str, Any]:
     """What a tool made of a mesh: inverted cells, figures, seconds; or why it made nothing."""
     if not run.meshes:
@@ -136,7 +130,7 @@ def _told(start: StartMesh, run: Run) -> dict[str, Any]:
     stays = len(points) == len(start.points) and (points[held] == start.points[held]).all()
     return {
         "status": "ok" if stays else "moved the boundary",
-        "inverted": int(inverted(points, np.ascontiguousarray(cells, dtype=np.int32)).sum()),
+        "inverted": int(bad_cells(points, np.ascontiguousarray(cells, dtype=np.int32)).sum()),
         "figures": summarize(points, cells).to_dict(),
         "seconds": median(run.facts["seconds"]),
     }

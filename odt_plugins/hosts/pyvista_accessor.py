@@ -25,15 +25,15 @@ RATIO = "odt_radius_ratio"
 """Name of the cell array of radius ratios."""
 
 
-class OdtAccessor:
-    """Optimal Delaunay Triangulation of this mesh; the mesh itself is never changed."""
+class _Accessor:
+    """What meshes have, and MultiBlocks."""
 
     def __init__(self, mesh: Any) -> None:
         self._mesh = mesh
 
     @with_option_signature()
     def optimize(self, **options: Unpack[OptionKeywords]) -> Any:
-        """Improve the tetrahedra or planar triangles of the mesh.
+        """Improve the tetrahedra, or where there are none the triangles.
 
         Parameters
         ----------
@@ -41,14 +41,37 @@ class OdtAccessor:
 
         Returns
         -------
-        same class    a new mesh with all arrays
+        same class    a new one with all arrays; blocks of other cells are copied
         """
         return optimize(self._mesh, **options)
 
     @with_option_signature()
     def optimize_with_report(self, **options: Unpack[OptionKeywords]) -> tuple[Any, Report]:
-        """Improve the mesh as :meth:`optimize` does and tell what was done."""
+        """Improve as :meth:`optimize` does and tell what was done; of blocks to each."""
         return optimize_with_report(self._mesh, **options)
+
+    def remesh(self, size: Any = None, **options: Any) -> Any:
+        """Give the cells other sizes, see :func:`odt_plugins.remesh`.
+
+        Parameters
+        ----------
+        size : float, str, array or callable    length that edges should have, or the name of a
+                                                point or cell array of lengths
+        **options                               `scale`, `cells`, ... of :func:`odt_plugins.remesh`
+
+        Returns
+        -------
+        same class    a new one
+        """
+        return remesh(self._mesh, size, **options)
+
+
+class OdtBlocksAccessor(_Accessor):
+    """Optimal Delaunay Triangulation of every block of a MultiBlock by itself."""
+
+
+class OdtAccessor(_Accessor):
+    """Optimal Delaunay Triangulation of this mesh; the mesh itself is never changed."""
 
     def quality(self) -> QualitySummary:
         """Sum up the quality: radius ratios, (dihedral) angles in degrees, counts."""
@@ -67,47 +90,6 @@ class OdtAccessor:
         values[ids] = np.abs(radius_ratio(host.points, host.cells))
         out.cell_data[RATIO] = values
         return out
-
-    def remesh(self, size: Any = None, **options: Any) -> Any:
-        """Give the mesh other sizes, see :func:`odt_plugins.remesh`.
-
-        Parameters
-        ----------
-        size : float, str, array or callable    length that edges should have, or the name of a
-                                                point or cell array of lengths
-        **options                               `scale`, `cells`, ... of :func:`odt_plugins.remesh`
-
-        Returns
-        -------
-        same type as the mesh    a new one
-        """
-        return remesh(self._mesh, size, **options)
-
-
-class OdtBlocksAccessor:
-    """Optimal Delaunay Triangulation of every block of a MultiBlock by itself."""
-
-    def __init__(self, mesh: Any) -> None:
-        self._mesh = mesh
-
-    @with_option_signature()
-    def optimize(self, **options: Unpack[OptionKeywords]) -> Any:
-        """Improve the blocks of tetrahedra, or where there are none those of triangles.
-
-        Returns
-        -------
-        pyvista.MultiBlock    a new one; all other blocks are copied
-        """
-        return optimize(self._mesh, **options)
-
-    def remesh(self, size: Any = None, **options: Any) -> Any:
-        """Give the blocks other sizes, each as :meth:`OdtAccessor.remesh` does."""
-        return remesh(self._mesh, size, **options)
-
-    @with_option_signature()
-    def optimize_with_report(self, **options: Unpack[OptionKeywords]) -> tuple[Any, Any]:
-        """Improve the blocks as :meth:`optimize` does; a report of each of them."""
-        return optimize_with_report(self._mesh, **options)
 
 
 class OdtSurfaceAccessor(OdtAccessor):

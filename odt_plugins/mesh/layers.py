@@ -161,13 +161,19 @@ def shapes(inverse: FloatArray) -> FloatArray:
     return np.asarray(np.einsum("mik,mjk->mij", axes * logs[:, None, :], axes))
 
 
-def inverse_metrics(points: FloatArray, cells: IntArray) -> FloatArray:
-    """Inverse implied metrics (m, d, d) of cells, each of trace 1."""
+def edge_products(points: FloatArray, cells: IntArray) -> FloatArray:
+    """Sums (m, d, d) of e e^T over the edges e of cells."""
     d = points.shape[1]
-    inverse = np.zeros((len(cells), d, d))
+    total = np.zeros((len(cells), d, d))
     for a, b in combinations(cells.T, 2):
         edge = points[b] - points[a]
-        inverse += edge[:, :, None] * edge[:, None, :]
+        total += edge[:, :, None] * edge[:, None, :]
+    return total
+
+
+def inverse_metrics(points: FloatArray, cells: IntArray) -> FloatArray:
+    """Inverse implied metrics (m, d, d) of cells, each of trace 1."""
+    inverse = edge_products(points, cells)
     inverse /= np.trace(inverse, axis1=1, axis2=2)[:, None, None]
     return inverse
 

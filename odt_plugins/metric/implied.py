@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import combinations
-
 import numpy as np
 
 from odt_plugins.engine.cells.elementary import log
@@ -16,6 +14,7 @@ from odt_plugins.engine.cells.tensors import (
 )
 from odt_plugins.engine.topology.star import star_sum
 from odt_plugins.mesh.arrays import FloatArray, IntArray
+from odt_plugins.mesh.layers import edge_products
 
 
 def implied_metric(points: FloatArray, cells: IntArray) -> FloatArray:
@@ -56,11 +55,7 @@ def cell_logarithms(points: FloatArray, cells: IntArray) -> FloatArray:
     the identity, since it is invariant; so M^-1 is 2 / (k + 1) times that sum.
     """
     d, k = points.shape[1], cells.shape[1] - 1
-    inverse = np.zeros((len(cells), d, d))
-    for a, b in combinations(cells.T, 2):
-        edge = points[b] - points[a]
-        inverse += edge[:, :, None] * edge[:, None, :]
-    values, axes = eigenvalues((2.0 / (k + 1)) * inverse)
+    values, axes = eigenvalues((2.0 / (k + 1)) * edge_products(points, cells))
     if k < d:
         order = np.argsort(values, axis=1, kind="stable")
         values = np.take_along_axis(values, order, axis=1)

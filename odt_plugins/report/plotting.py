@@ -147,7 +147,7 @@ def paint_mesh(
     """
     from matplotlib.collections import PolyCollection
 
-    view = _view(up)
+    view = slightly_turned(up)
     x = (points - (points.min(axis=0) + points.max(axis=0)) / 2) @ view.T
     facets, quality = cells, radius_ratio(points, cells)
     if cells.shape[1] == 4:
@@ -190,8 +190,8 @@ def _cut_open(
     return shell.facets[seen], quality[shell.cells[seen]]
 
 
-def _view(up: int) -> NDArray[np.float64]:
-    """Rows: right, up and towards the eye of a slightly turned view."""
+def slightly_turned(up: int = 1) -> NDArray[np.float64]:
+    """Rows: right, up and towards the eye of a slightly turned view, with axis `up` upwards."""
     turn, tilt = np.radians(-18.0), np.radians(14.0)
     c, s = np.cos(turn), np.sin(turn)
     around = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])

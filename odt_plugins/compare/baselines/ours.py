@@ -36,10 +36,11 @@ def warm_up(start: StartMesh, settings: Settings) -> None:
     It has inverted cells where the start has some.
     """
     from odt_plugins.compare.start import ball, pebble, plate
-    from odt_plugins.compare.tangled import inverted, tangles
+    from odt_plugins.compare.tangled import tangles
+    from odt_plugins.engine.untangle.places import bad_cells
 
     small = {"tets": ball, "planar": plate, "surface": pebble}[start.kind](60)
-    if start.kind != "surface" and inverted(start.points, start.cells).any():
+    if start.kind != "surface" and bad_cells(start.points, start.cells).any():
         small = replace(small, points=next(tangles(small))[1])
     if "size" in settings:
         settings = {**settings, "size": mean_edge(small)}

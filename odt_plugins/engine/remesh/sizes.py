@@ -12,6 +12,7 @@ from odt_plugins.engine.cells.elementary import exp, log, power
 from odt_plugins.engine.cells.geometry import signed_volumes
 from odt_plugins.engine.odt.density import smooth_over_stars
 from odt_plugins.engine.remesh.wish import Wish
+from odt_plugins.engine.retile.grading import spread
 from odt_plugins.engine.topology.star import star_sum
 from odt_plugins.errors import InvalidOptionError
 from odt_plugins.mesh.arrays import FloatArray, IntArray, LongArray
@@ -212,24 +213,11 @@ def grown(
     """The largest sizes below some that grow by less than (growth - 1) times the way.
 
     The size at a vertex is the least, over all vertices, of the size there and that growth along
-    the edges: shortest ways from a node that is as far from every vertex as its size.
+    the edges.
     """
     if values.min() == values.max():
         return values
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import dijkstra
-
-    n = len(values)
-    far = (growth - 1.0) * lengths_of(points, edges)
-    # a way of length 0 would be no way
-    far = np.maximum(far, 1e-12 * values.min())
-    own = np.arange(n, dtype=np.int32)
-    start = np.concatenate([edges[:, 0], edges[:, 1], np.full_like(own, n)])
-    end = np.concatenate([edges[:, 1], edges[:, 0], own])
-    graph = coo_array((np.concatenate([far, far, values]), (start, end)), shape=(n + 1, n + 1))
-    shortest: Any = dijkstra
-    found: FloatArray = shortest(graph.tocsr(), indices=n)[:n]
-    return np.minimum(found, values)
+    return spread(points, edges, values, growth - 1.0)
 
 
 def _as_given(mesh: SimplexMesh, given: Any, used: IntArray) -> FloatArray:
