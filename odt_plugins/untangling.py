@@ -223,11 +223,8 @@ def rest_places(
     places = places if frame is None else frame.to_plane(places)
     bad = np.flatnonzero(~(cell_signs(places, cells)[0] > 0))
     if bad.size:
-        msg = (f"got {counted(len(bad), 'cell')} (first: cell {bad[0]}) that {_are(len(bad))} "
+        verb = "is" if len(bad) == 1 else "are"
+        msg = (f"got {counted(len(bad), 'cell')} (first: cell {bad[0]}) that {verb} "
                f"inverted or flat in the rest mesh; expected the shapes that cells should have")
         raise InvalidMeshError(msg)
     return places
-
-
-def _are(count: int) -> str:
-    return "is" if count == 1 else "are"

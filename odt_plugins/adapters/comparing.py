@@ -35,7 +35,8 @@ def not_kept(mesh: Any, back: Any) -> list[str]:
     ):
         lost.append("the last digits of the coordinates")
     groups = group_names(mesh)
-    homes = (back.cell_sets, back.field_data, _families(back))
+    families = {name for names in getattr(back, "cell_tags", {}).values() for name in names}
+    homes = (back.cell_sets, back.field_data, families)
     named = any(groups <= set(home) for home in homes)
     for kind in ("point_data", "cell_data", "field_data", "point_sets", "cell_sets"):
         old, new = getattr(mesh, kind), getattr(back, kind)
@@ -153,11 +154,6 @@ def _difference(old: NDArray[Any], new: NDArray[Any], *, ordered: bool) -> int:
         close = np.allclose(one.astype(np.float64), two.astype(np.float64), rtol=ALMOST,
                             atol=ALMOST * size, equal_nan=True)
     return 1 if close else 2
-
-
-def _families(mesh: Any) -> set[str]:
-    """Names of the families of a MED file."""
-    return {name for names in getattr(mesh, "cell_tags", {}).values() for name in names}
 
 
 def _by_type(mesh: Any, values: Any) -> dict[str, NDArray[Any]]:

@@ -166,17 +166,13 @@ def _host(
     labels = region_labels(arrays, regions, cells)
     blocks: NDArray[np.int64] | None = None
     kept: tuple[KeptCells, ...] = ()
-    if uv is not None and _in_range(cells, len(points)):
+    # indices out of range are named by the checks that every mesh passes
+    if uv is not None and cells.min() >= 0 and cells.max() < len(points):
         blocks, seams = charts(uv, cells)
         kept = (seams,) if len(seams.rows) else ()
     return HostMesh(points, cells, *labels, blocks, kept, source=mesh, layout=uv,
                     follows=False, words=partial(in_words, mesh=mesh), texture=uv,
                     densities=dense(arrays, ("texture_uvs",)))
-
-
-def _in_range(cells: NDArray[Any], n: int) -> bool:
-    """Indices that are out of range are named by the checks that every mesh passes."""
-    return bool(cells.min() >= 0 and cells.max() < n)
 
 
 def _write_triangles(out: Any, result: Result, host: HostMesh) -> Any:

@@ -135,7 +135,8 @@ def run_blocks(
         report = in_turn(told_all, int(judged)).progress
         for index in range(rounds):
             state = done.states[-1]
-            last = index == rounds - 1 or (index > 0 and _soon_done(state))
+            last = index == rounds - 1 or (
+                index > 0 and near_cuts(state).sum() <= LAST_CELLS)
             if length and index == 1:
                 state = replace(state, mesh=_on_ground(start.mesh, state.mesh))
                 done.states[-1] = state
@@ -161,11 +162,6 @@ def run_blocks(
         if good == len(done.states) - 1:
             break
     return max(found, key=lambda pair: pair[0])[1]
-
-
-def _soon_done(whole: Whole) -> bool:
-    """Whether so few cells lie around the cuts that the next round is the last."""
-    return int(near_cuts(whole).sum()) <= LAST_CELLS
 
 
 @dataclass

@@ -33,13 +33,9 @@ def make_scratch(parent: Path, start: str) -> Path:
             shutil.rmtree(old, ignore_errors=True)
         elif old.name.startswith(mine):
             with contextlib.suppress(ValueError, OSError):
-                _clear_if_dead(old, int(old.name.removeprefix(mine).partition("-")[0]))
+                if is_gone(int(old.name.removeprefix(mine).partition("-")[0])):
+                    clear(old)
     return Path(tempfile.mkdtemp(prefix=f"{mine}{os.getpid()}-", dir=parent))
-
-
-def _clear_if_dead(folder: Path, pid: int) -> None:
-    if is_gone(pid):
-        clear(folder)
 
 
 def clear(folder: Path) -> None:

@@ -11,7 +11,7 @@ from odt_plugins.engine.cells.geometry import boundary_facets
 from odt_plugins.engine.ground.reference import Reference, make_reference
 from odt_plugins.errors import counted
 from odt_plugins.figures import volumes
-from odt_plugins.generate.bodies import HALF, Bodies, find_bodies, winding
+from odt_plugins.generate.bodies import HALF, find_bodies, winding
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.mesh.components import components
 from odt_plugins.mesh.soup import first_there
@@ -134,24 +134,17 @@ def compare(
     y, facet, boundary = _spread(mesh[0], facets)
     off = ours.closest(y)[0] > tolerance
     gone = np.unique(bodies.of_face[face[far]])
+    merged = first_there(surface[0])[surface[1]].astype(np.int32)
     return Covered(
         tolerance=float(tolerance),
         missing=_share(area, far),
-        missing_at=_places(x, face, area, far, _merged(*surface)),
+        missing_at=_places(x, face, area, far, merged),
         inverted=bool((bodies.volume[gone] < 0.0).any()),
         elsewhere=_share(boundary, off),
         elsewhere_at=_places(y, facet, boundary, off, facets),
         volume=float(np.abs(volumes(*mesh)).sum()),
-        inside=_enclosed(bodies),
+        inside=float(bodies.volume[bodies.closed].sum()),
     )
-
-
-def _merged(points: FloatArray, triangles: IntArray) -> IntArray:
-    return first_there(points)[triangles].astype(np.int32)
-
-
-def _enclosed(bodies: Bodies) -> float:
-    return float(bodies.volume[bodies.closed].sum())
 
 
 def _spread(points: FloatArray, triangles: IntArray) -> tuple[FloatArray, IntArray, FloatArray]:

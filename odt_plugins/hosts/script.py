@@ -260,10 +260,6 @@ def _lengths(chosen: Filter, values: dict[str, Any]) -> dict[str, Any]:
     return out
 
 
-def _is_mesh(meshes: Any, value: str) -> bool:
-    return value.isdecimal() and bool(meshes.mesh_id_exists(int(value)))
-
-
 def _run_native(meshes: Any, step: Step, where: str) -> None:
     """Let MeshLab apply one filter of its own, unless it would end the process."""
     from pymeshlab import PyMeshLabException
@@ -274,7 +270,8 @@ def _run_native(meshes: Any, step: Step, where: str) -> None:
         raise InvalidMeshError(msg)
     for entry in step.entry:
         value = entry.get("value", "")
-        if entry.get("type") == "RichMesh" and not _is_mesh(meshes, value):
+        if entry.get("type") == "RichMesh" and not (
+                value.isdecimal() and meshes.mesh_id_exists(int(value))):
             msg = (f"{step.name}, {where}: {entry.get('name')} is {value!r}; expected the id of a "
                    f"mesh of the MeshSet")
             raise InvalidMeshError(msg)

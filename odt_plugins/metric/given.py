@@ -59,15 +59,12 @@ def metric_at_vertices(
     used[mesh.cells] = True
     places = mesh.points if frame is None else frame.to_space(mesh.points)
     raw = given(places.copy()) if callable(given) else given
-    tensors = _tensors(_real(raw), len(places), d, frame)
+    real = real_numbers(raw, "a metric that is no array of real numbers",
+                        "one symmetric tensor for every vertex, try metric='input'")
+    tensors = _tensors(real, len(places), d, frame)
     out = np.broadcast_to(np.eye(d), (len(places), d, d)).copy()
     out[used] = _checked(tensors, used)[used]
     return out
-
-
-def _real(raw: Any) -> FloatArray:
-    return real_numbers(raw, "a metric that is no array of real numbers",
-                        "one symmetric tensor for every vertex, try metric='input'")
 
 
 def _tensors(values: FloatArray, n: int, d: int, frame: PlaneFrame | None) -> FloatArray:

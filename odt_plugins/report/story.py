@@ -16,9 +16,11 @@ def story(report: Any) -> list[str]:
     lines = [f"{report.n_movable} of {report.n_used} vertices may move "
              f"({100 * report.movable_share:.0f} %)"] if report.n_used else []
     if report.regions_from:
-        lines.append(regions_line(report.regions_from))
+        names = ", ".join(map(repr, report.regions_from))
+        lines.append(f"regions are those of {names}, interfaces between them stay")
     if report.interpolated:
-        lines.append(fields_line(report.interpolated))
+        names = ", ".join(map(repr, report.interpolated))
+        lines.append(f"fields interpolated at the new places of vertices: {names}")
     if report.layers:
         free = free_option((*report.options["free"], "layers")).replace('"', "'")
         lines.append(
@@ -26,7 +28,9 @@ def story(report: Any) -> list[str]:
             f"as they are; {free} lets them change")
     for kind, changes in (("cell", report.integrals), ("point", report.point_integrals)):
         if changes:
-            lines.append(integrals_line(kind, changes))
+            told = ", ".join(f"{name!r} by {change:.3g}" for name, change in changes.items())
+            lines.append(f"integrals of {kind} arrays changed, relative to those of absolute "
+                         f"values: {told}")
     lines += [f"note   {note}" for note in report.notes]
     if report.untangled:
         lines += _untangled_lines(report.untangled)
@@ -103,22 +107,6 @@ def _curved_lines(facts: Mapping[str, float]) -> list[str]:
         lines.append(f"note   {facts['vertices_held']} vertices stay, since curved cells beside "
                      f"them would be folded or have a smaller scaled Jacobian")
     return lines
-
-
-def regions_line(names: tuple[str, ...]) -> str:
-    """Say which arrays were taken as labels of regions."""
-    return f"regions are those of {', '.join(map(repr, names))}, interfaces between them stay"
-
-
-def fields_line(names: tuple[str, ...]) -> str:
-    """Say which were interpolated."""
-    return f"fields interpolated at the new places of vertices: {', '.join(map(repr, names))}"
-
-
-def integrals_line(kind: str, changes: Mapping[str, float]) -> str:
-    """Say which arrays have other integrals."""
-    told = ", ".join(f"{name!r} by {change:.3g}" for name, change in changes.items())
-    return f"integrals of {kind} arrays changed, relative to those of absolute values: {told}"
 
 
 def _untangled_lines(facts: Mapping[str, Any]) -> list[str]:

@@ -79,11 +79,12 @@ def read(path: Path) -> Any:
     if words and all(len(w) in (6, 7) for w in words):
         colours = np.array([w[-3:] if len(w) == 6 else w[3:6] for w in words], dtype=np.bytes_)
         mesh.point_data[COLOURS] = colours.astype(np.float64)
-    for i, part in enumerate(_references(found, order, 1)):
+    for i, rows in enumerate(order):
+        part = np.array([[c[1] for c in found.corners[j]] for j in rows.tolist()])
         if mesh.cells[i].type == "triangle" and uv.ndim == 2:
             has = (part >= 0).all(axis=1)
             if has.any():
-                mesh.cell_data[TEXTURE] = [np.zeros((len(rows), 6)) for rows in order]
+                mesh.cell_data[TEXTURE] = [np.zeros((len(own), 6)) for own in order]
                 mesh.cell_data[TEXTURE][i][has] = uv[part[has]].reshape(-1, 6)
     at = _of_vertices(found, len(points))
     if at is not None and normals.ndim == 2:
@@ -309,12 +310,6 @@ def _expect_there(found: _Lines) -> None:
         if bad.size:
             msg = f"a face refers to number {bad[0] + 1} of {size} {what}"
             raise MeshFileError(msg)
-
-
-def _references(found: _Lines, order: list[NDArray[np.int64]], what: int) -> list[NDArray[Any]]:
-    """What the corners of the faces of every block refer to, (m, k)."""
-    return [np.array([[c[what] for c in found.corners[i]] for i in rows.tolist()])
-            for rows in order]
 
 
 def _of_vertices(found: _Lines, count: int) -> NDArray[np.int64] | None:

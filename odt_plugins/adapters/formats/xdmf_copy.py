@@ -124,12 +124,9 @@ def _copied(doc: Document, target: Path, edits: Edits) -> dict[Path, Path]:
         if new != old:
             head = len(doc.data[start:end]) - len(doc.data[start:end].lstrip())
             tail = len(doc.data[start:end].rstrip())
-            edits.append((start + head, start + tail, _escaped(new)))
+            text = new.replace("&", "&amp;").replace("<", "&lt;")
+            edits.append((start + head, start + tail, text.encode()))
     return names
-
-
-def _escaped(text: str) -> bytes:
-    return text.replace("&", "&amp;").replace("<", "&lt;").encode()
 
 
 def _text(doc: Document, element: Any) -> tuple[int, int]:

@@ -103,7 +103,8 @@ def finished(
         return run(middle, some, as_it_leaves, within=Within(share=SLIDING, sized=mesh))
 
     report = options.progress or silent
-    if _may_insert(middle, options):
+    inserts = options.finish and options.smoothing.connectivity != "none"
+    if inserts and not len(middle.metric):
         best = once(0.0, 0.7, 0.0)
         reached, more = _figures(best, options), room(best)
         if reached.p1_quality < POOR and more > 0.0:
@@ -147,12 +148,6 @@ def sums(one: dict[str, Any], other: dict[str, Any]) -> dict[str, Any]:
 def _figures(outcome: Outcome, options: Options) -> Figures:
     """Figures of an outcome, with those of the objective."""
     return figures(outcome.points, outcome.cells, options.objective)
-
-
-def _may_insert(mesh: SimplexMesh, options: Options) -> bool:
-    """Whether vertices may be added and removed inside."""
-    free = options.finish and options.smoothing.connectivity != "none"
-    return free and not len(mesh.metric)
 
 
 def _renumbered(resized: Outcome, origin: LongArray | None) -> tuple[Faces, Faces]:

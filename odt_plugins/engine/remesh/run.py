@@ -369,17 +369,13 @@ def _newly_cut(mesh: SimplexMesh, outcome: Outcome, sizes: Sizes) -> BoolArray:
 
 def _of_small_regions(mesh: SimplexMesh, outcome: Outcome) -> BoolArray:
     """Vertices (n,) of the input of regions whose volume is another, if these are small."""
-    near = np.zeros(len(mesh.points), dtype=np.bool_)
-    near[mesh.cells[np.isin(mesh.bodies(), _small_unlike(mesh, outcome))]] = True
-    return near
-
-
-def _small_unlike(mesh: SimplexMesh, outcome: Outcome) -> list[int]:
-    """Labels of regions whose volume is another, none if these are not small."""
     others = other_sizes(mesh, outcome.points, outcome.cells, outcome.regions)
     whole = float(signed_volumes(mesh.points, mesh.cells).sum())
-    small = sum(first for _, first, _ in others) < MOST_UNLIKE * whole
-    return [label for label, *_ in others] if small else []
+    near = np.zeros(len(mesh.points), dtype=np.bool_)
+    if sum(first for _, first, _ in others) < MOST_UNLIKE * whole:
+        labels = [label for label, *_ in others]
+        near[mesh.cells[np.isin(mesh.bodies(), labels)]] = True
+    return near
 
 
 def _crossed(outcome: SimplexMesh | Outcome) -> IntArray:
