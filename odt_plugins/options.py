@@ -302,11 +302,9 @@ class Options:
         _check_fields(self)
         known = SOLVERS[self.method]
         if lab.solver not in known:
-            msg = (
-                f"got method={self.method!r}, smoothing={{'solver': {lab.solver!r}}}; expected one "
-                f"of {known} as the solver of this method, try smoothing="
-                f"{{'solver': {known[0]!r}}} or method='odt'"
-            )
+            msg = (f"got method={self.method!r}, smoothing={{'solver': {lab.solver!r}}}; expected "
+                   f"one of {known} as the solver of this method, try smoothing={{'solver': "
+                   f"{known[0]!r}}} or method='odt'")
             raise InvalidOptionError(msg)
         if isinstance(self.density, str):
             what = f"one of {DENSITIES}, an array or a callable"

@@ -176,11 +176,9 @@ def _left(
     first = int(cells[0])
     corners = mesh.cells[first]
     place = ", ".join(f"{x:.6g}" for x in points[corners].mean(axis=0))
-    msg = (
-        f"got {counted(len(cells), 'inverted or flat cell')} (first: cell {first} with vertices "
-        f"{corners.tolist()} around ({place})) {why}; expected a boundary, interfaces and fixed "
-        f"vertices that leave every cell room, {hint}"
-    )
+    msg = (f"got {counted(len(cells), 'inverted or flat cell')} (first: cell {first} with vertices "
+           f"{corners.tolist()} around ({place})) {why}; expected a boundary, interfaces and fixed "
+           f"vertices that leave every cell room, {hint}")
     return TangledMeshError(msg, cells, facets)
 
 

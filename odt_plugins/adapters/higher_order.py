@@ -154,10 +154,8 @@ def check_mid_nodes(rows: NDArray[Any], n: int, shape: Lattice) -> None:
     order, corners = int(shape[0, 0]), shape.shape[1]
     bad = np.flatnonzero(((rows < 0) | (rows >= n)).any(axis=1))
     if bad.size:
-        msg = (
-            f"got {bad.size} {_name(order)} cells with node indices out of range (first: cell "
-            f"{bad[0]}); expected 0 to {n - 1} for {n} nodes"
-        )
+        msg = (f"got {bad.size} {_name(order)} cells with node indices out of range (first: cell "
+               f"{bad[0]}); expected 0 to {n - 1} for {n} nodes")
         raise InvalidMeshError(msg)
     wide = rows.astype(np.int64)
     places, mid = _places(wide[:, :corners], shape, n), wide[:, corners:].ravel()
@@ -171,19 +169,16 @@ def check_mid_nodes(rows: NDArray[Any], n: int, shape: Lattice) -> None:
             first = by_one[wrong[0]]
             count = len(np.unique(one[by_one[wrong]]))
             around = np.unique(places.corners[first]).tolist()
-            msg = (
-                f"got {count} {text} (first: node {mid[first]} on the edge or face {around}); "
-                f"expected one mid-node for every {what[0]}, try merging nodes at the same place"
-            )
+            msg = (f"got {count} {text} (first: node {mid[first]} on the edge or face {around}); "
+                   f"expected one mid-node for every {what[0]}, try merging nodes at the same "
+                   "place")
             raise InvalidMeshError(msg)
     is_corner = np.zeros(n, dtype=np.bool_)
     is_corner[rows[:, :corners]] = True
     wrong = np.unique(mid[is_corner[mid]])
     if wrong.size:
-        msg = (
-            f"got {wrong.size} mid-nodes that are corners of other cells (first: node "
-            f"{wrong[0]}); expected corners and mid-nodes to be different nodes"
-        )
+        msg = (f"got {wrong.size} mid-nodes that are corners of other cells (first: node "
+               f"{wrong[0]}); expected corners and mid-nodes to be different nodes")
         raise InvalidMeshError(msg)
 
 
@@ -430,11 +425,9 @@ def carried_point_data(
         off &= np.abs(expected - values[q.gone]) > 8 * np.finfo(values.dtype).eps * size
     lost = np.flatnonzero(off.any(axis=tuple(range(1, off.ndim))) & (q.number[q.gone] < 0))
     if lost.size:
-        msg = (
-            f"point data {name!r} of {lost.size} mid-nodes (first: node {q.gone[lost[0]]}) are "
-            f"not kept: their edges were flipped away; try "
-            f"smoothing={{'connectivity': 'none'}}, finish=False"
-        )
+        msg = (f"point data {name!r} of {lost.size} mid-nodes (first: node {q.gone[lost[0]]}) are "
+               f"not kept: their edges were flipped away; try "
+               f"smoothing={{'connectivity': 'none'}}, finish=False")
         warn(msg, DataNotKeptWarning)
     return out
 

@@ -292,11 +292,9 @@ def _rows_of(mesh: SimplexMesh, kind: str, raw: NDArray[np.integer]) -> NDArray[
 def _check_range(kind: str, raw: NDArray[np.integer], n: int) -> None:
     bad = np.flatnonzero(((raw < 0) | (raw >= n)).any(axis=1))
     if bad.size:
-        msg = (
-            f"got {counted(bad.size, f'{kind} cell')} with vertex indices out of range "
-            f"(vertices {raw[bad[0]].tolist()}); the mesh has {n} vertices, expected 0 to "
-            f"{n - 1}"
-        )
+        msg = (f"got {counted(bad.size, f'{kind} cell')} with vertex indices out of range "
+               f"(vertices {raw[bad[0]].tolist()}); the mesh has {n} vertices, expected 0 to "
+               f"{n - 1}")
         raise InvalidMeshError(msg)
 
 

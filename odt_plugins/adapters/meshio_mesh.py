@@ -114,10 +114,8 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
     for block in mesh.cells:
         known = block.type in LINEAR or _of_order(block, kind, shape)
         if len(block.data) and not known:
-            msg = (
-                f"got {counted(len(block.data), 'cell')} of type {block.type}; expected linear "
-                f"cells such as tetra or triangle, try converting the mesh to linear cells"
-            )
+            msg = (f"got {counted(len(block.data), 'cell')} of type {block.type}; expected linear "
+                   f"cells such as tetra or triangle, try converting the mesh to linear cells")
             raise UnsupportedMeshError(msg)
     if not found:
         info = mesh.info if isinstance(mesh.info, dict) else {}
@@ -455,10 +453,8 @@ def _joined(name: str, values: list[Any], mesh: Any, chosen: list[int]) -> NDArr
     """Cell data of all optimised blocks one after another."""
     for i in chosen:
         if len(values[i]) != len(mesh.cells[i].data):
-            msg = (
-                f"cell data {name!r} of block {i} has {len(values[i])} entries; expected "
-                f"{len(mesh.cells[i].data)}, one per cell"
-            )
+            msg = (f"cell data {name!r} of block {i} has {len(values[i])} entries; expected "
+                   f"{len(mesh.cells[i].data)}, one per cell")
             raise InvalidMeshError(msg)
     return np.concatenate([np.asarray(values[i]) for i in chosen])
 
@@ -511,10 +507,8 @@ def _check_members(name: str, members: NDArray[Any], i: int, size: int) -> None:
     if members.dtype == np.bool_ or bad.size:
         what = f"a mask of shape {members.shape}" if members.dtype == np.bool_ else (
             f"index {bad[0]} ({bad.size} out of range)")
-        msg = (
-            f"cell set {name!r} has {what} in block {i}; expected indices from 0 to {size - 1} "
-            f"or a mask of shape ({size},)"
-        )
+        msg = (f"cell set {name!r} has {what} in block {i}; expected indices from 0 to {size - 1} "
+               f"or a mask of shape ({size},)")
         raise InvalidMeshError(msg)
 
 

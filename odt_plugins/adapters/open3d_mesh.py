@@ -132,10 +132,8 @@ def _read_tensor(mesh: Any, regions: str | Sequence[str] | None) -> HostMesh:
         n = len(mesh.vertex["positions"]) if "positions" in mesh.vertex else 0
         _require(0, n, "t.geometry.TriangleMesh", "triangles")
     if not mesh.is_cpu:
-        msg = (
-            f"the mesh lies on {mesh.device}; it is copied to the CPU, optimised there and "
-            f"copied back"
-        )
+        msg = (f"the mesh lies on {mesh.device}; it is copied to the CPU, optimised there and "
+               f"copied back")
         warn(msg, ODTWarning)
     points = np.array(mesh.vertex["positions"].cpu().numpy())
     cells = np.array(mesh.triangle["indices"].cpu().numpy())

@@ -88,10 +88,8 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
     current = meshes.current_mesh() if whole else meshes
     if not current.face_number():
         found = counted(current.vertex_number(), "vertex", "vertices")
-        msg = (
-            f"got a mesh without faces ({found}); expected triangles, try "
-            f"generate_surface_reconstruction_ball_pivoting() on a point cloud"
-        )
+        msg = (f"got a mesh without faces ({found}); expected triangles, try "
+               f"generate_surface_reconstruction_ball_pivoting() on a point cloud")
         raise UnsupportedMeshError(msg)
     copy = without_pictures(current)
     inner = copy.current_mesh()

@@ -224,10 +224,8 @@ def _read_grid(mesh: Any) -> tuple[IndexArray, IndexArray, tuple[KeptCells, ...]
     if not ids.size and types.size:
         found = ", ".join(names[int(t)] for t in np.unique(types))
         count = counted(types.size, "cell")
-        msg = (
-            f"got a grid of {count} of type {found}; expected tetrahedra or triangles, try "
-            f"mesh.triangulate()"
-        )
+        msg = (f"got a grid of {count} of type {found}; expected tetrahedra or triangles, try "
+               f"mesh.triangulate()")
         raise UnsupportedMeshError(msg)
     width = int(np.diff(offset)[ids[0]]) if ids.size else 3
     cells = flat[offset[ids][:, None] + np.arange(width)]
@@ -298,10 +296,9 @@ def _refuse_unknown(types: NDArray[Any], known: list[int]) -> None:
         kind = int(types[bad[0]])
         name = next(name.removeprefix("VTK_") for name, value in vars(vtkCommonDataModel).items()
                     if name.startswith("VTK_") and value == kind)
-        msg = (
-            f"got {counted(bad.size, 'cell')} of type {name} (first: cell {bad[0]}); expected "
-            f"linear tetrahedra or triangles, try grid.linear_copy() or extracting the linear cells"
-        )
+        msg = (f"got {counted(bad.size, 'cell')} of type {name} (first: cell {bad[0]}); expected "
+               "linear tetrahedra or triangles, try grid.linear_copy() or extracting the linear "
+               "cells")
         raise UnsupportedMeshError(msg)
 
 
@@ -373,10 +370,8 @@ def _write_refined(out: Any, result: Result, source: Any, ids: IndexArray) -> In
     for kind in np.setdiff1d(types, types[ids]).tolist():
         which = np.flatnonzero(types == kind)
         if kind not in REFINED:
-            msg = (
-                f"got {counted(len(which), LINEAR[kind])} (first: cell {which[0]}) beside the "
-                f"refined cells; expected only vertices, lines and triangles"
-            )
+            msg = (f"got {counted(len(which), LINEAR[kind])} (first: cell {which[0]}) beside the "
+                   f"refined cells; expected only vertices, lines and triangles")
             raise UnsupportedMeshError(msg)
         nodes = flat[offset[which][:, None] + np.arange(REFINED[kind])]
         split = result.split(nodes) if result.split is not None else nodes

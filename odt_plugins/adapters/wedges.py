@@ -133,10 +133,9 @@ def _on_surface(
     inside[face[on], corner[on]] = True
     across = int((~(stays | inside)).any(axis=1).sum())
     if across:
-        msg = (
-            f"{counted(across, 'triangle')} of the result lie across seams of the texture, which "
-            f"is continued there beyond its charts; to keep the seams try regions={CHARTS!r}"
-        )
+        msg = (f"{counted(across, 'triangle')} of the result lie across seams of the texture, "
+               "which is continued there beyond its charts; to keep the seams try "
+               f"regions={CHARTS!r}")
         warn(msg, DataNotKeptWarning)
     return out
 

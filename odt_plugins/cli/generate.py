@@ -91,10 +91,8 @@ def mesh(
                 1 if threads is None else threads, report_file, quiet)
         return 0
     else:
-        msg = (
-            f"got DOMAIN {what!r}; expected one of {', '.join(SAMPLES)}, a Python file (.py), or "
-            f"the file of a surface or of tetrahedra"
-        )
+        msg = (f"got DOMAIN {what!r}; expected one of {', '.join(SAMPLES)}, a Python file (.py), "
+               "or the file of a surface or of tetrahedra")
         raise InvalidOptionError(msg)
     if any(given is not None for given in (edge_length, envelope, threads)):
         msg = ("got --edge-length, --envelope or --threads for a mesh of triangles; expected "

@@ -113,11 +113,9 @@ def _stays(taken: Sequence[Taken], left: list[int], names: Sequence[str]) -> Tan
     cell = piece.cells[np.flatnonzero(cell_signs(piece.points, piece.cells)[0] <= 0)[0]]
     place = ", ".join(f"{x:.6g}" for x in piece.points[cell].mean(axis=0))
     count = sum(taken[k].inverted for k in left)
-    msg = (
-        f"got {counted(count, 'inverted or flat cell')} (first: around ({place}) in "
-        f"{Path(names[left[0]]).name}, in {counted(len(left), 'piece')} altogether) for which "
-        f"neither other places of their vertices nor flips were found, also with the pieces around "
-        f"them; expected a boundary and interfaces that leave every cell room, try moving what "
-        f"holds them"
-    )
+    msg = (f"got {counted(count, 'inverted or flat cell')} (first: around ({place}) in "
+           f"{Path(names[left[0]]).name}, in {counted(len(left), 'piece')} altogether) for which "
+           "neither other places of their vertices nor flips were found, also with the pieces "
+           "around them; expected a boundary and interfaces that leave every cell room, try "
+           "moving what holds them")
     return TangledMeshError(msg, [])

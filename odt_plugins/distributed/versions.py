@@ -43,8 +43,7 @@ def expect_versions(
     if other:
         name = other[0]
         where = where or f"the worker on {socket.gethostname()} (process {os.getpid()})"
-        msg = (
-            f"{where} has {name} {here.get(name, 'not installed')} ({len(other)} packages differ); "
-            f"expected {wanted[name]} as in this process, try installing the same there"
-        )
+        msg = (f"{where} has {name} {here.get(name, 'not installed')} ({len(other)} packages "
+               f"differ); expected {wanted[name]} as in this process, try installing the same "
+               "there")
         raise InvalidOptionError(msg)

@@ -230,11 +230,9 @@ def _refined(
         checking, before or done[0].quality,
     )
     if not told.within:
-        msg = (
-            f"the boundary is up to {told.forward:.3g} from the surface and that up to "
-            f"{told.backward:.3g} from it; expected at most {envelope:.3g}, try one more level, a "
-            f"smaller edge_length or a finer coarse mesh"
-        )
+        msg = (f"the boundary is up to {told.forward:.3g} from the surface and that up to "
+               f"{told.backward:.3g} from it; expected at most {envelope:.3g}, try one more "
+               "level, a smaller edge_length or a finer coarse mesh")
         warn(msg, ODTWarning)
     return current, told
 
@@ -253,20 +251,16 @@ def check_levels(levels: Any, edge_length: Any, options: Mapping[str, Any]) -> N
         msg = f"got edge_length={edge_length!r}; expected a part of the diagonal, between 0 and 1"
         raise InvalidOptionError(msg)
     if not are_names(options.get("regions")):
-        msg = (
-            "got regions as an array; expected the name of a cell array, try (points, cells, "
-            "regions) as the mesh"
-        )
+        msg = ("got regions as an array; expected the name of a cell array, try (points, cells, "
+               "regions) as the mesh")
         raise InvalidOptionError(msg)
     if options.get("insert"):
         msg = "got insert=True; expected False, try odt_plugins.optimize on the result"
         raise InvalidOptionError(msg)
     density = options.get("density", "keep")
     if not (isinstance(density, str) or callable(density)):
-        msg = (
-            f"got density as a {type(density).__name__}; expected a name or a callable, since the "
-            f"cells are others at every level"
-        )
+        msg = (f"got density as a {type(density).__name__}; expected a name or a callable, since "
+               "the cells are others at every level")
         raise InvalidOptionError(msg)
 
 

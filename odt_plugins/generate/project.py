@@ -97,11 +97,9 @@ def make_target(points: FloatArray, triangles: IntArray, angle: float) -> Target
     if rim.size:
         a, b = edges.vertices[rim[0]].tolist()
         verb = "belongs" if rim.size == 1 else "belong"
-        msg = (
-            f"the surface is not closed: {counted(rim.size, 'edge')} (first: between vertices {a} "
-            f"and {b}) {verb} to an odd number of triangles; expected two at every edge, try "
-            f"closing its holes"
-        )
+        msg = (f"the surface is not closed: {counted(rim.size, 'edge')} (first: between vertices "
+               f"{a} and {b}) {verb} to an odd number of triangles; expected two at every edge, "
+               "try closing its holes")
         raise InvalidMeshError(msg)
     features = find_features(
         points, triangles, edges, vertex_stars(triangles, n), angle=angle,

@@ -158,11 +158,9 @@ def refined_rows(rows: NDArray[np.integer], edges: LongArray, n: int) -> NDArray
         missing = np.flatnonzero((keys[place] != asked).any(axis=1))
         if missing.size:
             kind = {2: "line", 3: "triangle"}[rows.shape[1]]
-            msg = (
-                f"got {counted(missing.size, kind)} (first: {rows[missing[0]].tolist()}) with an "
-                f"edge that no refined cell has; expected lines and triangles on edges and faces "
-                f"of the mesh, try removing the others"
-            )
+            msg = (f"got {counted(missing.size, kind)} (first: {rows[missing[0]].tolist()}) with "
+                   "an edge that no refined cell has; expected lines and triangles on edges and "
+                   "faces of the mesh, try removing the others")
             raise InvalidMeshError(msg)
         nodes = np.concatenate([rows, n + place], axis=1)
     parts: NDArray[np.int64] = nodes[:, CHILDREN[rows.shape[1]]].reshape(-1, rows.shape[1])
@@ -179,9 +177,7 @@ def check_size(m: int, dim: int, levels: int) -> int:
     count = m << (dim * levels)
     if count > MOST_CELLS:
         noun = "triangles" if dim == 2 else "tetrahedra"
-        msg = (
-            f"{counted(levels, 'level')} of refinement would make {count} {noun} of {m}; expected "
-            f"at most {MOST_CELLS}, try fewer levels or a coarser mesh"
-        )
+        msg = (f"{counted(levels, 'level')} of refinement would make {count} {noun} of {m}; "
+               f"expected at most {MOST_CELLS}, try fewer levels or a coarser mesh")
         raise InvalidMeshError(msg)
     return count

@@ -108,10 +108,8 @@ def read_linear(mesh: Any) -> tuple[Adapter, HostMesh]:
     known = adapter in ADAPTERS and not is_instance(mesh, "pyvista", "PolyData")
     if not known:
         kind = type(mesh)
-        msg = (
-            f"got an object of type {kind.__module__}.{kind.__qualname__}; expected arrays, a "
-            f"pyvista.UnstructuredGrid, a meshio.Mesh or a path, try (points, cells) as arrays"
-        )
+        msg = (f"got an object of type {kind.__module__}.{kind.__qualname__}; expected arrays, a "
+               f"pyvista.UnstructuredGrid, a meshio.Mesh or a path, try (points, cells) as arrays")
         raise UnsupportedMeshError(msg)
     host = adapter.read(mesh)
     if host.higher_order:
@@ -120,9 +118,7 @@ def read_linear(mesh: Any) -> tuple[Adapter, HostMesh]:
     other = next((kept.kind for kept in host.kept
                   if kept.kind not in SPLIT and not kept.kind.startswith(SET_VERTEX)), None)
     if other is not None:
-        msg = (
-            f"got {other} cells beside those to refine; expected only vertices, lines and "
-            f"triangles, try a mesh without them"
-        )
+        msg = (f"got {other} cells beside those to refine; expected only vertices, lines and "
+               f"triangles, try a mesh without them")
         raise UnsupportedMeshError(msg)
     return adapter, host

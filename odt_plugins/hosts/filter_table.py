@@ -169,10 +169,8 @@ class Filter:
         known = {parameter.name: parameter for parameter in self.parameters}
         for name in given:
             if name not in known:
-                msg = (
-                    f"Parameter {name} not found for filter {self.name}. "
-                    f"Its parameters are {', '.join(known) or 'none'}."
-                )
+                msg = (f"Parameter {name} not found for filter {self.name}. "
+                       f"Its parameters are {', '.join(known) or 'none'}.")
                 raise ParameterError(msg)
         return {
             name: parameter.check(given[name], diagonal) if name in given

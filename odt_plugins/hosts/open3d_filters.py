@@ -140,10 +140,8 @@ def _smooth(
     _expect_mesh(mesh)
     name = "All" if scope is None else getattr(scope, "name", str(scope))
     if name not in ("All", "Vertex"):
-        msg = (
-            f"got filter_scope={scope!r}; expected FilterScope.All or FilterScope.Vertex: normals "
-            f"follow the vertices, and colours stay with them"
-        )
+        msg = (f"got filter_scope={scope!r}; expected FilterScope.All or FilterScope.Vertex: "
+               "normals follow the vertices, and colours stay with them")
         raise InvalidOptionError(msg)
     own = {"method": method, "finish": False}
     lab = {"rounds": iterations, "cycles": 1, "connectivity": "none", **kind}
@@ -159,10 +157,8 @@ def _smooth(
         instead = "optimize_odt()" if wrong != "rounds" else (
             f"number_of_iterations={given[wrong]!r}")
         where, value = worded(wrong, given[wrong])
-        msg = (
-            f"got {where}={value!r}, which this filter sets to {fixed[wrong]!r}; expected other "
-            f"options only, try {instead}"
-        )
+        msg = (f"got {where}={value!r}, which this filter sets to {fixed[wrong]!r}; expected other "
+               f"options only, try {instead}")
         raise InvalidOptionError(msg)
     _expect_known(options, own, list(inspect.signature(function).parameters)[1:])
     try:
@@ -201,8 +197,6 @@ def _restore_normals(out: Any, mesh: Any) -> None:
 def _expect_mesh(mesh: Any) -> None:
     if not open3d_mesh.matches(mesh):
         kind = type(mesh)
-        msg = (
-            f"got an object of type {kind.__module__}.{kind.__qualname__}; expected an open3d "
-            f"TriangleMesh or TetraMesh"
-        )
+        msg = (f"got an object of type {kind.__module__}.{kind.__qualname__}; expected an open3d "
+               f"TriangleMesh or TetraMesh")
         raise UnsupportedMeshError(msg)

@@ -143,17 +143,13 @@ def _unpacked(field: Any, scalars: str | None) -> tuple[Any, Any, Any]:
     ]:
         calls = ("to_tetrahedra()", "delaunay_3d()")
         call = next((call for call in calls if hasattr(field, call[:-2])), None)
-        msg = (
-            f"got a sizing_field of type {type(field).__name__}; expected a pyvista."
-            f"UnstructuredGrid of tetrahedra only{f', try sizing_field.{call}' if call else ''}"
-        )
+        msg = (f"got a sizing_field of type {type(field).__name__}; expected a pyvista."
+               f"UnstructuredGrid of tetrahedra only{f', try sizing_field.{call}' if call else ''}")
         raise UnsupportedMeshError(msg)
     name = scalars or field.point_data.active_scalars_name
     if name is None or name not in field.point_data:
-        msg = (
-            f"got a sizing_field without a point array {name!r}; expected sizing_field_scalars to "
-            f"be one of {sorted(field.point_data.keys())}"
-        )
+        msg = (f"got a sizing_field without a point array {name!r}; expected sizing_field_scalars "
+               f"to be one of {sorted(field.point_data.keys())}")
         raise UnsupportedMeshError(msg)
     cells = field.cells_dict[pyvista_mesh.TETRA].astype(np.int32)
     return np.array(field.points, dtype=np.float64), cells, np.array(field.point_data[name])

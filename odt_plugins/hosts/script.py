@@ -114,10 +114,8 @@ def run_script_on_files(
     steps = read_script(text, str(script))
     surface = target.suffix.lower() in SURFACES
     if not surface and not any(step.own and step.own.name == TETRAHEDRA for step in steps):
-        msg = (
-            f"cannot write {target}: MeshLab has no format {target.suffix!r}; expected one of "
-            f"{' '.join(SURFACES)}, or {TETRAHEDRA} in the script for a file of tetrahedra"
-        )
+        msg = (f"cannot write {target}: MeshLab has no format {target.suffix!r}; expected one of "
+               f"{' '.join(SURFACES)}, or {TETRAHEDRA} in the script for a file of tetrahedra")
         raise MeshFileError(msg)
     files.check_output(target.with_suffix(".vtu") if surface else target)
     if not source.is_file():
@@ -286,10 +284,8 @@ def _run_native(meshes: Any, step: Step, where: str) -> None:
             raise InvalidMeshError(msg) from exc
         reason = str(exc).partition("\n")[0]
         reason = "it does not say why" if reason == SILENT else reason
-        msg = (
-            f"MeshLab could not apply {step.name!r}, {where}: {reason}; expected a mesh that this "
-            f"filter can work on"
-        )
+        msg = (f"MeshLab could not apply {step.name!r}, {where}: {reason}; expected a mesh that "
+               "this filter can work on")
         raise InvalidMeshError(msg) from exc
 
 

@@ -87,10 +87,8 @@ def plane_frame(points: FloatArray, cells: NDArray[np.integer]) -> PlaneFrame | 
     total = (side[:, None] * area).sum(axis=0)
     size = np.sqrt((total * total).sum())
     if size == 0.0:
-        msg = (
-            f"got {counted(len(cells), 'cell')} (first: cell 0) with zero area: all triangles are "
-            f"degenerate; expected triangles in a plane, try removing such cells"
-        )
+        msg = (f"got {counted(len(cells), 'cell')} (first: cell 0) with zero area: all triangles "
+               "are degenerate; expected triangles in a plane, try removing such cells")
         raise InvalidMeshError(msg)
     normal = total / size
     origin = 0.5 * (low + high)

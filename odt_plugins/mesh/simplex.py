@@ -301,10 +301,8 @@ def diagonal(points: FloatArray) -> float:
 def _points(points: ArrayLike) -> FloatArray:
     raw = np.asarray(points)
     if raw.dtype.kind != "f" or raw.dtype.itemsize not in (4, 8):
-        msg = (
-            f"points have dtype {raw.dtype}; expected float64 or float32, "
-            f"try numpy.asarray(points, dtype=float)"
-        )
+        msg = (f"points have dtype {raw.dtype}; expected float64 or float32, "
+               f"try numpy.asarray(points, dtype=float)")
         raise InvalidMeshError(msg)
     if raw.ndim != 2 or raw.shape[1] not in (2, 3):
         msg = f"points have shape {raw.shape}; expected (n, 2) or (n, 3), one row per vertex"
@@ -315,10 +313,8 @@ def _points(points: ArrayLike) -> FloatArray:
     finite = np.isfinite(raw)
     if not finite.all():
         bad = np.flatnonzero(~finite.all(axis=1))
-        msg = (
-            f"got {_where(bad, 'point')} with NaN or infinite coordinates; expected finite "
-            f"numbers, try removing or repairing those vertices"
-        )
+        msg = (f"got {_where(bad, 'point')} with NaN or infinite coordinates; expected finite "
+               f"numbers, try removing or repairing those vertices")
         raise InvalidMeshError(msg)
     return np.array(raw, dtype=np.float64, order="C")
 
@@ -331,18 +327,14 @@ def _cells(cells: ArrayLike, shape: tuple[int, ...]) -> IntArray:
         raise InvalidMeshError(msg)
     if raw.ndim != 2 or not 3 <= raw.shape[1] <= d + 1:
         tetrahedra = " or (m, 4) for tetrahedra" if d == 3 else ""
-        msg = (
-            f"cells have shape {raw.shape} for points of dimension {d}; expected (m, 3) for "
-            f"triangles{tetrahedra}, one row of vertex indices per cell"
-        )
+        msg = (f"cells have shape {raw.shape} for points of dimension {d}; expected (m, 3) for "
+               f"triangles{tetrahedra}, one row of vertex indices per cell")
         raise InvalidMeshError(msg)
     if raw.dtype.kind == "f":
         bad = np.flatnonzero((raw != np.floor(raw)).any(axis=1) | ~np.isfinite(raw).all(axis=1))
         if bad.size:
-            msg = (
-                f"got {_where(bad, 'cell')} with vertex indices that are not integers (dtype "
-                f"{raw.dtype}); expected an integer type"
-            )
+            msg = (f"got {_where(bad, 'cell')} with vertex indices that are not integers (dtype "
+                   f"{raw.dtype}); expected an integer type")
             raise InvalidMeshError(msg)
     elif raw.dtype.kind not in "iu":
         msg = f"cells have dtype {raw.dtype}; expected an integer type, try cells.astype('int32')"
@@ -351,10 +343,8 @@ def _cells(cells: ArrayLike, shape: tuple[int, ...]) -> IntArray:
         outside = (raw < 0) | (raw >= n)
         bad = np.flatnonzero(outside.any(axis=1))
         vertex = int(raw[bad[0]][outside[bad[0]]][0])
-        msg = (
-            f"got {_where(bad, 'cell')} with vertex indices out of range (vertex {vertex}); "
-            f"expected 0 to {n - 1} for {n} vertices, counted from zero"
-        )
+        msg = (f"got {_where(bad, 'cell')} with vertex indices out of range (vertex {vertex}); "
+               f"expected 0 to {n - 1} for {n} vertices, counted from zero")
         raise InvalidMeshError(msg)
     return np.array(raw, dtype=np.int32, order="C")
 
@@ -366,10 +356,8 @@ def check_vertices(t: IntArray) -> None:
         same |= t[:, i] == t[:, j]
     bad = np.flatnonzero(same)
     if bad.size:
-        msg = (
-            f"got {_where(bad, 'cell')} with a vertex used twice; expected {t.shape[1]} different "
-            f"vertices, try removing such cells"
-        )
+        msg = (f"got {_where(bad, 'cell')} with a vertex used twice; expected {t.shape[1]} "
+               "different vertices, try removing such cells")
         raise InvalidMeshError(msg)
 
 
@@ -379,10 +367,8 @@ def _check_span(p: FloatArray, t: IntArray) -> None:
     half = 0.5 * p[used]  # the difference of two finite numbers may be none
     span = float(np.ptp(half, axis=0).max())
     if span != 0.0 and not 0.5 / SPAN_LIMIT < span < 0.5 * SPAN_LIMIT:
-        msg = (
-            f"the mesh is {2.0 * span:.1e} long; expected between {1 / SPAN_LIMIT:.0e} and "
-            f"{SPAN_LIMIT:.0e}, try scaling it"
-        )
+        msg = (f"the mesh is {2.0 * span:.1e} long; expected between {1 / SPAN_LIMIT:.0e} and "
+               f"{SPAN_LIMIT:.0e}, try scaling it")
         raise InvalidMeshError(msg)
 
 
@@ -419,18 +405,14 @@ def _check_sizes(sign: NDArray[np.int8], size: FloatArray, d: int) -> None:
     """Refuse flat cells, and cells that are too small beside the largest."""
     small = np.flatnonzero((size > 0.0) & (size < size.max() / SPAN_LIMIT))
     if small.size:
-        msg = (
-            f"got {_where(small, 'cell')} of {len(sign)} smaller than {1 / SPAN_LIMIT:.0e} of the "
-            f"largest; expected sizes closer together, try removing such cells"
-        )
+        msg = (f"got {_where(small, 'cell')} of {len(sign)} smaller than {1 / SPAN_LIMIT:.0e} of "
+               "the largest; expected sizes closer together, try removing such cells")
         raise InvalidMeshError(msg)
     bad = np.flatnonzero(sign == 0)
     if bad.size:
         name = "area" if d == 2 else "volume"
-        msg = (
-            f"got {_where(bad, 'cell')} of {len(sign)} with zero {name} relative to their size; "
-            f"expected every {name} different from zero, try removing such cells"
-        )
+        msg = (f"got {_where(bad, 'cell')} of {len(sign)} with zero {name} relative to their size; "
+               f"expected every {name} different from zero, try removing such cells")
         raise TangledMeshError(msg, bad)
 
 
@@ -440,10 +422,9 @@ def refuse_repeated(t: IntArray, n: int) -> None:
         row_keys(np.sort(t, axis=1), n), return_index=True, return_inverse=True)
     repeated = np.flatnonzero(first[inverse] != np.arange(len(t)))
     if repeated.size:
-        msg = (
-            f"got {_where(repeated, 'cell')} with the same vertices as an earlier cell (cell "
-            f"{first[inverse[repeated[0]]]}); expected each cell once, try removing repeated cells"
-        )
+        msg = (f"got {_where(repeated, 'cell')} with the same vertices as an earlier cell (cell "
+               f"{first[inverse[repeated[0]]]}); expected each cell once, try removing repeated "
+               "cells")
         raise InvalidMeshError(msg)
 
 
@@ -463,11 +444,9 @@ def refuse_overlaps(mesh: SimplexMesh, sign: NDArray[np.int8]) -> None:
         vertices = np.delete(np.sort(t[crowded[0]]), column).tolist()
         n_crowded = int((count > 2).sum())
         verb = "belongs" if n_crowded == 1 else "belong"
-        msg = (
-            f"{counted(n_crowded, noun)} {verb} to more than two cells (non-manifold), the first "
-            f"of cell {crowded[0]} with vertices {vertices}; expected at most two, try removing "
-            f"the cells that overlap"
-        )
+        msg = (f"{counted(n_crowded, noun)} {verb} to more than two cells (non-manifold), the "
+               f"first of cell {crowded[0]} with vertices {vertices}; expected at most two, try "
+               "removing the cells that overlap")
         raise InvalidMeshError(msg)
     _, inverse, count = np.unique(key * 2 + side, return_inverse=True, return_counts=True)
     bad = np.flatnonzero((count[inverse] > 1).reshape(key.shape).any(axis=1))
@@ -477,10 +456,8 @@ def refuse_overlaps(mesh: SimplexMesh, sign: NDArray[np.int8]) -> None:
         name = "area" if t.shape[1] == 3 else "volume"
         turned = (f", also after turning {_where(odd, 'cell')} of {len(t)} like the others "
                   f"(negative against positive {name})")
-    msg = (
-        f"got {_where(bad, 'cell')} overlapping a neighbour{turned}: both lie on the same side of "
-        f"a common {noun}; expected one on each side, try removing or untangling those cells"
-    )
+    msg = (f"got {_where(bad, 'cell')} overlapping a neighbour{turned}: both lie on the same side "
+           f"of a common {noun}; expected one on each side, try removing or untangling those cells")
     raise TangledMeshError(msg, bad)
 
 
@@ -518,17 +495,13 @@ def vertex_mask(value: ArrayLike | None, count: int, name: str, what: str) -> Bo
     if raw.size == 0:
         return mask
     if raw.ndim != 1 or raw.dtype.kind not in "iu":
-        msg = (
-            f"{name} has dtype {raw.dtype} and shape {raw.shape}; expected a boolean mask of the "
-            f"{what} ({count},) or a list of their indices"
-        )
+        msg = (f"{name} has dtype {raw.dtype} and shape {raw.shape}; expected a boolean mask of "
+               f"the {what} ({count},) or a list of their indices")
         raise InvalidOptionError(msg)
     bad = np.flatnonzero((raw < 0) | (raw >= count))
     if bad.size:
-        msg = (
-            f"{name}[{bad[0]}] is {raw[bad[0]]} ({bad.size} out of range); expected indices of "
-            f"{what} from 0 to {count - 1}"
-        )
+        msg = (f"{name}[{bad[0]}] is {raw[bad[0]]} ({bad.size} out of range); expected indices of "
+               f"{what} from 0 to {count - 1}")
         raise InvalidOptionError(msg)
     mask[raw] = True
     return mask

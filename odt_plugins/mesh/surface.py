@@ -111,10 +111,8 @@ def surface_mesh(
     check_vertices(t)
     refuse_repeated(t, n)
     if (p[t] == p[t[0, 0]]).all():
-        msg = (
-            f"got {counted(len(t), 'cell')} (first: cell 0) with all vertices at one place; "
-            f"expected a surface"
-        )
+        msg = (f"got {counted(len(t), 'cell')} (first: cell 0) with all vertices at one place; "
+               f"expected a surface")
         raise InvalidMeshError(msg)
     edges = surface_edges(t, n)
     count = 0
@@ -131,10 +129,8 @@ def surface_mesh(
         if orient:
             what, hope = ("disagree however they are turned, as on a Moebius strip, non-orientable",
                           "two sides, try cutting it open")
-        msg = (
-            f"got {counted(turned.size, 'edge')} (first: the edge of vertices {a} and {b}) whose "
-            f"two cells {what}; expected {hope}"
-        )
+        msg = (f"got {counted(turned.size, 'edge')} (first: the edge of vertices {a} and {b}) "
+               f"whose two cells {what}; expected {hope}")
         raise InvalidMeshError(msg)
     mesh = SimplexMesh(
         points=p,
