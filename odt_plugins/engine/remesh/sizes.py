@@ -12,7 +12,7 @@ from odt_plugins.engine.cells.elementary import exp, log, power
 from odt_plugins.engine.cells.geometry import signed_volumes
 from odt_plugins.engine.odt.density import smooth_over_stars
 from odt_plugins.engine.remesh.wish import Wish
-from odt_plugins.engine.retile.grading import spread
+from odt_plugins.engine.topology.growth import grown_along
 from odt_plugins.engine.topology.star import star_sum
 from odt_plugins.errors import InvalidOptionError
 from odt_plugins.mesh.arrays import FloatArray, IntArray, LongArray
@@ -217,7 +217,7 @@ def grown(
     """
     if values.min() == values.max():
         return values
-    return spread(points, edges, values, growth - 1.0)
+    return grown_along(points, edges, values, growth - 1.0)
 
 
 def _as_given(mesh: SimplexMesh, given: Any, used: IntArray) -> FloatArray:

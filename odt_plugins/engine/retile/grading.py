@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from odt_plugins.engine.ground.features import Features
 from odt_plugins.engine.retile.tracks import Tracks
+from odt_plugins.engine.topology.growth import grown_along
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 
 GROWTH, FALL = 0.3, 1.0
@@ -16,29 +15,6 @@ long."""
 
 LEAST = 1e-6
 """Smallest part of a size that edges which stay, or are between vertices at one place, leave."""
-
-
-def spread(
-    points: FloatArray, edges: IntArray, values: FloatArray, growth: float = GROWTH
-) -> FloatArray:
-    """The largest values (n,) below some, above 0, that grow by at most ``growth`` times the way.
-
-    The shortest ways along edges (e, 2) from a node that is as far from every vertex as its value.
-    """
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import dijkstra
-
-    n = len(values)
-    step = points[edges[:, 1]] - points[edges[:, 0]]
-    # a way of length 0 would be no way
-    far = np.maximum(growth * np.sqrt((step * step).sum(axis=1)), 1e-12 * values.min())
-    own = np.arange(n, dtype=np.int32)
-    start = np.concatenate([edges[:, 0], edges[:, 1], np.full_like(own, n)])
-    end = np.concatenate([edges[:, 1], edges[:, 0], own])
-    graph: Any = coo_array((np.concatenate([far, far, values]), (start, end)), shape=(n + 1, n + 1))
-    search: Any = dijkstra
-    found: FloatArray = search(graph.tocsr(), indices=n)[:n]
-    return np.minimum(found, values)
 
 
 def fitting(
@@ -62,11 +38,11 @@ def fitting(
     if (out == sizes).all():
         return out
     longer = on & (out > sizes)
-    out = spread(points, edges, np.maximum(out, LEAST * sizes))
+    out = grown_along(points, edges, np.maximum(out, LEAST * sizes), GROWTH)
     if longer.any():
         # the largest sizes spread down from where they are held
         top = 2.0 * max(out.max(), (total[longer] / count[longer]).max())
         below = np.full(len(out), top)
         below[longer] = top - (total[longer] / count[longer])
-        out = np.maximum(out, top - spread(points, edges, below, FALL))
+        out = np.maximum(out, top - grown_along(points, edges, below, FALL))
     return out

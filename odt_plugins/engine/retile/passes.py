@@ -12,7 +12,7 @@ from odt_plugins.engine.ground.sheet import SMOOTH
 from odt_plugins.engine.record.figures import cell_shapes
 from odt_plugins.engine.retile.collapse import THIN, collapse_edges
 from odt_plugins.engine.retile.flip import swap_edges
-from odt_plugins.engine.retile.grading import spread
+from odt_plugins.engine.retile.grading import GROWTH
 from odt_plugins.engine.retile.net import (
     THINNEST,
     Net,
@@ -24,6 +24,7 @@ from odt_plugins.engine.retile.net import (
 )
 from odt_plugins.engine.retile.shift import shift_vertices
 from odt_plugins.engine.retile.split import split_edges
+from odt_plugins.engine.topology.growth import grown_along
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 
 LONGEST, SHORTEST = 4.0 / 3.0, 4.0 / 5.0
@@ -86,7 +87,7 @@ class Passes:
             ground = self.rules.ground.points
             self.sizes = np.minimum(self.sizes, found)
             if not self.metric.size:
-                self.sizes = spread(ground, edges, self.sizes)
+                self.sizes = grown_along(ground, edges, self.sizes, GROWTH)
             self.measure(net)
 
     def split(self, net: Net, bounds: Extremes) -> Net:

@@ -10,6 +10,7 @@
 - `vertex_coloring` colours blocks of vertices: blocks of one colour have no cell in common, and a
   Gauss-Seidel sweep visits them side by side (`run_chunks`). `make_slabs` and `side_by_side` do
   the same for flips.
+- `grown_along` bounds values by those of the vertices around: they grow along edges at a rate.
 - `overlaps` integrates over what cells of one mesh have in common with those of another.
 - `Part` is a part of a mesh that is worked on alone (`away_from`, `around`, `joined`).
 - `Topology` (`make_topology`) is what a position step needs, built once for a connectivity.
