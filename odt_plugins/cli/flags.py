@@ -22,6 +22,12 @@ from odt_plugins.options import (
 )
 from odt_plugins.words import smoothing_of
 
+REPORT_FLAG = click.option(
+    "--report", "report_file", type=click.Path(path_type=Path), metavar="FILE.json",
+    help="Write the report there as JSON.")
+
+QUIET_FLAG = click.option("--quiet", is_flag=True, help="Print nothing but errors.")
+
 EDGE_LENGTH = click.option(
     "--edge-length", type=click.FloatRange(min=0.0, max=1.0, min_open=True, max_open=True),
     default=DEFAULT_EDGE_LENGTH, show_default=True, help="For TetWild, relative to the diagonal.")
@@ -69,8 +75,7 @@ def size_flags(
 
 def take_sizes(options: dict[str, Any]) -> dict[str, Any]:
     """Take the sizes that were given on the command line out of the values of a command."""
-    found = chosen({name: options.pop(name) for name in SIZES if name in options})
-    return found
+    return chosen({name: options.pop(name) for name in SIZES if name in options})
 
 
 def length_or_name(text: str | None) -> float | str | None:

@@ -9,10 +9,11 @@ from typing import Any
 
 import click
 
+from odt_plugins.cli.flags import QUIET_FLAG
 from odt_plugins.cli.terminal import (
     check_paths,
-    in_flags,
     progress_bar,
+    tell_report,
     warnings_told,
     write_beside,
 )
@@ -44,7 +45,7 @@ SEED, MOST_POINTS = 2011, 10_000_000
               help="Worker threads for tetrahedra; the result does not depend on it.  [default: 1]")
 @click.option("--report", "report_file", type=click.Path(path_type=Path), metavar="FILE.json",
               help="Write the figures of the mesh there as JSON.")
-@click.option("--quiet", is_flag=True, help="Print nothing but errors.")
+@QUIET_FLAG
 def mesh(
     what: str,
     target: Path,
@@ -131,7 +132,4 @@ def _refine(
         out, report = refine_with_report(
             what, levels, threads=threads, progress=progress, **options)
         write_file(target, out)
-    if not quiet:
-        click.echo(in_flags(str(report)))
-    if report_file:
-        write_beside(report_file, lambda path: path.write_text(report.to_json() + "\n"))
+    tell_report(report, report_file, quiet)

@@ -10,6 +10,7 @@ import time
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,8 @@ import click
 from odt_plugins.cli.flags import (
     EDGE_LENGTH,
     LEVELS,
+    QUIET_FLAG,
+    REPORT_FLAG,
     chosen,
     cluster_flags,
     given,
@@ -39,6 +42,7 @@ from odt_plugins.cli.terminal import (
     in_flags,
     one_line,
     progress_bar,
+    tell_report,
     warnings_told,
     write_beside,
 )
@@ -47,6 +51,12 @@ from odt_plugins.options import OF_MESHES, OPTIONS
 from odt_plugins.processes import handling
 
 DONE, COULD_NOT, WRONG_USE, BEYOND = 0, 1, 2, 3
+
+LATER = {"cache": "odt_plugins.cli.cache", "compare": "odt_plugins.cli.compare",
+         "mesh": "odt_plugins.cli.generate", "paraview": "odt_plugins.cli.paraview",
+         "remesh": "odt_plugins.cli.remesh"}
+"""Modules of the commands that are loaded when they are asked for."""
+
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code: 0 done, 1 could not, 2 wrong use.
@@ -82,34 +92,16 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 class _Commands(click.Group):
-    """The subcommands; those with a room of their own are loaded when they are asked for."""
+    """The subcommands, of which some are loaded when they are asked for."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        return sorted([*super().list_commands(ctx), "cache", "compare", "mesh", "paraview",
-                       "remesh"])
+        return sorted([*super().list_commands(ctx), *LATER])
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        if cmd_name == "cache":
-            from odt_plugins.cli.cache import cache
-
-            return cache
-        if cmd_name == "compare":
-            from odt_plugins.cli.compare import compare
-
-            return compare
-        if cmd_name == "mesh":
-            from odt_plugins.cli.generate import mesh
-
-            return mesh
-        if cmd_name == "remesh":
-            from odt_plugins.cli.remesh import remesh
-
-            return remesh
-        if cmd_name == "paraview":
-            from odt_plugins.cli.paraview import paraview
-
-            return paraview
-        return super().get_command(ctx, cmd_name)
+        if cmd_name not in LATER:
+            return super().get_command(ctx, cmd_name)
+        command: click.Command = getattr(import_module(LATER[cmd_name]), cmd_name)
+        return command
 
 
 @click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"]})
@@ -127,8 +119,7 @@ def cli() -> None:
 @click.argument("source", metavar="INPUT", type=click.Path(path_type=Path))
 @click.argument("target", metavar="OUTPUT", type=click.Path(path_type=Path))
 @option_flags
-@click.option("--report", "report_file", type=click.Path(path_type=Path), metavar="FILE.json",
-              help="Write the report there as JSON.")
+@REPORT_FLAG
 @click.option("--plot", "plot_file", type=click.Path(path_type=Path), metavar="FILE.png",
               help="Draw histograms before and after there (.png, .pdf, .svg).")
 @click.option("--worth", is_flag=True,
@@ -145,7 +136,7 @@ def cli() -> None:
               help="Write OUTPUT as text or binary, where its format has both; unless given a "
                    ".msh file is as INPUT was, others are binary.")
 @cluster_flags
-@click.option("--quiet", is_flag=True, help="Print nothing but errors.")
+@QUIET_FLAG
 def optimize(
     source: Path,
     target: Path,
@@ -219,13 +210,12 @@ def optimize(
 @click.option("--bodies", is_flag=True,
               help="Number the closed components of SURFACE in a cell array \"body\", from 1, 0 "
                    "for none.")
-@click.option("--report", "report_file", type=click.Path(path_type=Path), metavar="FILE.json",
-              help="Write the report there as JSON.")
+@REPORT_FLAG
 @click.option("--file-format", type=click.Choice(["gmsh22", "gmsh41"]),
               help="Version of a .msh file.")
 @click.option("--ascii/--binary", "text", default=None,
               help="Write OUTPUT as text or binary, where its format has both.")
-@click.option("--quiet", is_flag=True, help="Print nothing but errors.")
+@QUIET_FLAG
 def tetrahedralize(
     source: Path, target: Path, edge_length: float, levels: int, bodies: bool,
     report_file: Path | None, file_format: str | None, text: bool | None, quiet: bool,
@@ -254,10 +244,7 @@ def tetrahedralize(
             source, target=target, levels=levels, edge_length=edge_length, bodies=bodies,
             file_format=file_format, binary=None if text is None else not text,
             progress=progress, **sizes, **chosen(options))
-    if not quiet:
-        click.echo(in_flags(str(report)))
-    if report_file:
-        write_beside(report_file, lambda path: path.write_text(report.to_json() + "\n"))
+    tell_report(report, report_file, quiet)
     if not report.filled.filled:
         return _fail(f"{target} is written, but {report.filled.complaint()}", COULD_NOT)
     return DONE
@@ -276,9 +263,8 @@ def tetrahedralize(
                    "tetrahedra valid: at most half as many as there are, or a number for at most "
                    "that part of them.")
 @some_option_flags("fixed", "selection", "regions", "threads")
-@click.option("--report", "report_file", type=click.Path(path_type=Path), metavar="FILE.json",
-              help="Write the report there as JSON.")
-@click.option("--quiet", is_flag=True, help="Print nothing but errors.")
+@REPORT_FLAG
+@QUIET_FLAG
 def untangle(source: Path, target: Path, rest: Path | None, partial: bool,
              report_file: Path | None, quiet: bool, **options: Any) -> int:
     """Make every cell of the mesh INPUT valid, write it to OUTPUT with all its data, and no more.
@@ -296,10 +282,7 @@ def untangle(source: Path, target: Path, rest: Path | None, partial: bool,
             read_file(source), rest=None if rest is None else read_file(rest), partial=partial,
             progress=progress, **options)
         write_file(target, found)
-    if not quiet:
-        click.echo(in_flags(str(report)))
-    if report_file:
-        write_beside(report_file, lambda path: path.write_text(report.to_json() + "\n"))
+    tell_report(report, report_file, quiet)
     return DONE
 
 
@@ -324,7 +307,7 @@ def untangle(source: Path, target: Path, rest: Path | None, partial: bool,
 @cluster_flags
 @size_flags("Remesh: ")
 @option_flags
-@click.option("--quiet", is_flag=True, help="Print nothing but errors.")
+@QUIET_FLAG
 def batch(
     sources: tuple[str, ...], out: Path, suffix: str | None, memory_limit: float | None,
     scheduler: str | None, workers: int, quiet: bool, tetrahedralize: bool, edge_length: float,
@@ -423,7 +406,7 @@ def quality(sources: tuple[Path, ...], as_json: bool, **limits: float | None) ->
 @click.argument("file", metavar="FILE.mlx", type=click.Path(path_type=Path))
 @click.argument("source", metavar="INPUT", type=click.Path(path_type=Path))
 @click.argument("target", metavar="OUTPUT", type=click.Path(path_type=Path))
-@click.option("--quiet", is_flag=True, help="Print nothing but errors.")
+@QUIET_FLAG
 def script(file: Path, source: Path, target: Path, quiet: bool) -> int:
     """Apply a MeshLab filter script that may hold filters of odt-plugins.
 

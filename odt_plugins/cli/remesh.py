@@ -7,15 +7,16 @@ from typing import Any
 
 import click
 
-from odt_plugins.cli.flags import given, size_flags, some_option_flags, take_sizes
-from odt_plugins.cli.named import resolve_arrays
-from odt_plugins.cli.terminal import (
-    check_paths,
-    in_flags,
-    progress_bar,
-    warnings_told,
-    write_beside,
+from odt_plugins.cli.flags import (
+    QUIET_FLAG,
+    REPORT_FLAG,
+    given,
+    size_flags,
+    some_option_flags,
+    take_sizes,
 )
+from odt_plugins.cli.named import resolve_arrays
+from odt_plugins.cli.terminal import check_paths, progress_bar, tell_report, warnings_told
 from odt_plugins.options import NOT_SIZED, OPTIONS
 
 
@@ -28,9 +29,8 @@ from odt_plugins.options import NOT_SIZED, OPTIONS
               help="slide moves, adds and removes vertices of the boundary, of interfaces and of "
                    "feature lines within the envelope; fixed keeps all of these bit for bit.")
 @some_option_flags(*(name for name in OPTIONS if name not in (*NOT_SIZED, "boundary")))
-@click.option("--report", "report_file", type=click.Path(path_type=Path), metavar="FILE.json",
-              help="Write the report there as JSON.")
-@click.option("--quiet", is_flag=True, help="Print nothing but errors.")
+@REPORT_FLAG
+@QUIET_FLAG
 def remesh(
     source: Path, target: Path, report_file: Path | None, quiet: bool, **options: Any
 ) -> int:
@@ -52,8 +52,5 @@ def remesh(
         mesh = read_file(source)
         found, report = remesh_with_report(mesh, **sizes | options | {"progress": progress})
         write_file(target, found)
-    if not quiet:
-        click.echo(in_flags(str(report)))
-    if report_file:
-        write_beside(report_file, lambda path: path.write_text(report.to_json() + "\n"))
+    tell_report(report, report_file, quiet)
     return 0

@@ -120,6 +120,14 @@ def write_beside(path: Path, write: Callable[[Path], Any]) -> None:
         raise MeshFileError(msg) from exc
 
 
+def tell_report(report: Any, report_file: Path | None, quiet: bool) -> None:
+    """Print a report unless the command is quiet, and write it where --report says."""
+    if not quiet:
+        click.echo(in_flags(str(report)))
+    if report_file:
+        write_beside(report_file, lambda path: path.write_text(report.to_json() + "\n"))
+
+
 @contextmanager
 def warnings_told(quiet: bool) -> Iterator[None]:
     """Show the package's own warnings as one line each on stderr, or nowhere."""
