@@ -158,7 +158,7 @@ def _surface(
 
 
 def _still(work: Prepared, given: HostMesh, ends: NDArray[np.int64]) -> Prepared:
-    """The mesh whose cells at some edges stay, and at those of cells that it does not have."""
+    """Freeze the cells at some edges, and at edges of cells that are not optimised."""
     own, rows = work.own, np.asarray(work.mesh.cells)
     if own is not None:
         ends = np.concatenate([ends, _edges_of(np.delete(np.asarray(given.cells), own, axis=0))])

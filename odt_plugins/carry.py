@@ -208,7 +208,7 @@ def _walk(
 
 
 def _refined(corners: FloatArray, x: FloatArray, weights: FloatArray) -> FloatArray:
-    """Barycentric coordinates again, less what their rounding leaves between them and x."""
+    """Refine barycentric coordinates of x by one step that removes the error of rounding."""
     edges = corners - corners[:, :1]
     rest = (x - corners[:, 0]) - np.einsum("kc,kcd->kd", weights, edges)
     step = barycentric(edges, rest)

@@ -204,7 +204,7 @@ def _make_up_cells(
     values: FloatArray, old: FloatArray, sizes: tuple[FloatArray, ...],
     labels: tuple[NDArray[np.int64], NDArray[np.int64]], may: BoolArray,
 ) -> None:
-    """Give cells that `may` change what the integrals over their region lack."""
+    """Change values of the cells in `may` until regions have their old integrals."""
     count = int(labels[0].max()) + 1
     for a in range(values.shape[1]):
         want = _sums(labels[0], sizes[0] * old[:, a], count)

@@ -195,7 +195,7 @@ def untangled_around(
     host: HostMesh, mesh: SimplexMesh,
     untangle: Callable[[SimplexMesh], tuple[SimplexMesh, Tangle]],
 ) -> tuple[SimplexMesh, Tangle]:
-    """Untangle a mesh with its valid curved cells as they are, or without that where it fails.
+    """Untangle a mesh with its valid curved cells frozen; if that fails, with them free.
 
     Parameters
     ----------

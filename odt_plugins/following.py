@@ -70,7 +70,7 @@ def follow(
     work: Prepared, given: HostMesh, outcome: Outcome, vertices: NewVertices | None,
     options: Options,
 ) -> Followed:
-    """Let arrays keep their integrals if that is asked for, and say where these are others."""
+    """Carry arrays to the result, with their integrals if asked; tell which integrals changed."""
     if work.tangle is not None:
         return Followed(vertices, {}, {}, {})
     before, source = work.mesh, np.asarray(outcome.source)

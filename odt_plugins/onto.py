@@ -34,7 +34,7 @@ ASTRAY = 1e-4
 
 
 def on_geometry(work: Prepared) -> Prepared:
-    """The same mesh, without a geometry on which its vertices are not, such as that of another."""
+    """Drop the geometry of a mesh whose vertices do not lie on it, and note that."""
     geometry = work.host.geometry
     if geometry is None:
         return work

@@ -410,7 +410,7 @@ def _of_soup(
 
 
 def flat_points(host: HostMesh) -> tuple[FloatArray, PlaneFrame | None]:
-    """Coordinates as the engine wants them: those of triangles in one plane lie in it."""
+    """Points as the engine takes them: planar triangles in space get coordinates in their plane."""
     points, cells = mesh_arrays(host.points, host.cells)
     if points.shape[1] == cells.shape[1] - 1:
         return points, None

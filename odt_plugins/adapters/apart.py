@@ -141,7 +141,7 @@ def _message(stream: Any) -> bytes | None:
 
 @functools.cache
 def _staying() -> dict[tuple[str, ...], _Process]:
-    """The processes that stay, until the end of this one, by what they import beforehand."""
+    """Processes that live as long as this one, by the modules that they import beforehand."""
     return {}
 
 

@@ -84,7 +84,7 @@ def _periodic(mesh: Any) -> bool:
 
 
 def _others(mesh: Any, back: Any, kind: str, what: str) -> list[str]:
-    """Name what came back under its name with other values or members."""
+    """Name the arrays and sets that came back with other values or members."""
     old, new = getattr(mesh, kind), getattr(back, kind)
     out = []
     ordered = _in_order(mesh, back, cells=kind == "cell_data")

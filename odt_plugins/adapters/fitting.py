@@ -252,7 +252,7 @@ def _named_groups(mesh: Any) -> dict[str, list[Any]]:
 
 
 def _labels(mesh: Any, label: str | None) -> list[NDArray[Any]] | None:
-    """Integers of cells that become the labels of a format: its own, or known ones, or others."""
+    """Integer cell data to write as labels: the format's own array, else a known one, else any."""
     def fits(values: Any) -> bool:
         parts = [np.asarray(part) for part in values]
         return all(part.ndim == 1 and part.dtype.kind in "iu" for part in parts)

@@ -101,7 +101,7 @@ def is_group(value: Any) -> bool:
 
 
 def _groups(names: Any, groups: Any, sets: Any, dim: int, k: int) -> list[int]:
-    """Tags of the physical groups of a block: its own one, and those with all of its cells."""
+    """Tags of the physical groups of a block: its label, and the sets that hold all its cells."""
     out = [] if groups is None or not len(groups[k]) or not groups[k][0] else [int(groups[k][0])]
     for name in sets:
         tag, of = names.get(name, (tag_of(name), dim))

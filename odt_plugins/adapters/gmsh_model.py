@@ -342,7 +342,7 @@ def _followed(result: Result, old: Rows) -> Rows:
 
 
 def _entities(host: HostMesh, origin: IntArray, now: dict[int, Rows]) -> IntArray:
-    """Entity of every node (n',): of one that came, that of the lowest dimension around it."""
+    """Entity of every node (n',); a new node is on the entity of lowest dimension around it."""
     entity: IntArray = host.layout.entity[origin]
     for rows in sorted(now.values(), key=lambda rows: -rows.nodes.shape[1]):
         inside = (origin < 0)[rows.nodes]
@@ -351,7 +351,7 @@ def _entities(host: HostMesh, origin: IntArray, now: dict[int, Rows]) -> IntArra
 
 
 def _on_entity(i: int, old: Elements, now: Rows | None, tags: IntArray) -> Elements:
-    """The elements of one type on an entity, which may be others."""
+    """Elements of one type on an entity after the run; the old ones where none changed."""
     if now is None:
         return old
     own = now.part == i
@@ -370,13 +370,13 @@ def _settled(model: Any, host: HostMesh, q: HigherOrder, source: NDArray[Any]) -
 
 
 def _tags(free: IntArray, last: int, count: int) -> IntArray:
-    """Tags for new nodes or elements: those that became free, then those above all others."""
+    """Tags for `count` new nodes or elements: first the free ones, then those after the last."""
     more = last + 1 + np.arange(max(count - len(free), 0))
     return np.concatenate([np.sort(free)[:count], more])
 
 
 def _element_tags(old: Rows, now: Rows, origin: IntArray, corners: int, last: int) -> IntArray:
-    """Tags (m',) of elements of one type; those with the corners of their source keep its own."""
+    """Tags (m',) of elements of one type; elements with the corners of their source keep its."""
     order = np.argsort(old.tags)
     source = order[np.searchsorted(old.tags, now.tags, sorter=order)]
     same = (np.sort(origin[now.nodes[:, :corners]], axis=1)
@@ -439,8 +439,9 @@ def _expect_links_kept(
 
 
 def _fill(model: Any, dim: int, old: dict[Entity, Part], new: dict[Entity, Part]) -> None:
-    """Give the entities of a dimension their new mesh, and others where it has other elements; to
-    the nodes of those that are left their new places.
+    """Give entities of a dimension, and others whose elements changed, their new mesh.
+
+    Nodes of all other entities get their new places.
     """
     anew = [key for key in sorted(old, reverse=True)
             if key[0] == dim or not _alike(old[key], new[key])]

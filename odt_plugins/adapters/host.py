@@ -69,7 +69,7 @@ def middles(corners: NDArray[np.float64]) -> NDArray[np.float64]:
 def each_once(
     kind: str, rows: NDArray[Any], classes: NDArray[Any]
 ) -> list[tuple[KeptCells, NDArray[np.int64]]]:
-    """Kept cells with classes such that none is there twice, and which of the rows they are."""
+    """Part rows into kept cells without repeated rows; with each the indices of its rows."""
     order = np.argsort(classes, kind="stable")
     key = row_keys(np.sort(rows, axis=1), int(rows.max(initial=0)) + 1)[order]
     again = np.argsort(key, kind="stable")

@@ -148,9 +148,7 @@ def _once(rows: NDArray[np.int64]) -> bool:
 
 
 def _named(given: list[tuple[NDArray[np.int64], NDArray[Any]]], size: int) -> Faces:
-    """Faces of so many vertices, one label for those that are of the same classes wherever they
-    are.
-    """
+    """Faces of so many vertices; faces of the same classes in all groups have one label."""
     groups = [(np.sort(rows, axis=1), classes) for rows, classes in given if rows.shape[1] == size]
     if not sum(len(rows) for rows, _ in groups):
         return no_faces()[size - 2]

@@ -261,7 +261,7 @@ def _renew_normals(out: Any, result: Result, host: HostMesh) -> None:
 
 
 def _follow_links(out: Any, host: HostMesh, nodes: NDArray[np.integer] | None) -> None:
-    """Let what is said of points that correspond follow, where they come from these `nodes`."""
+    """Renumber the links between periodic points; `nodes` are the old numbers of the new points."""
     number = np.arange(len(host.points))
     if nodes is not None:
         number[:] = -1

@@ -241,7 +241,7 @@ def _triangle_data(result: Result, host: HostMesh) -> dict[str, NDArray[Any]]:
 
 
 def _renew_normals(out: Any, mesh: Any) -> None:
-    """Compute the normals that were there, in their old dtype.
+    """Compute anew the normals that the caller's mesh has, in the dtype they have there.
 
     open3d warns of missing vertex normals when it computes those of the triangles.
     """

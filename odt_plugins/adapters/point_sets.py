@@ -35,7 +35,7 @@ SLACK = 0.1
 def with_added(
     members: NDArray[np.integer], host: HostMesh, result: Result, vertices: NewVertices
 ) -> NDArray[np.int64]:
-    """Points of the result that are in a set, those that were added behind those from before.
+    """Members of a point set in the result: first the old points, then those that were added.
 
     A point that was added is in the set where the corners of the input around it all are: those
     of a cell where most points of the set are in cells that it has as a whole, those of the facet

@@ -250,7 +250,7 @@ def _read_grid(mesh: Any) -> tuple[IndexArray, IndexArray, tuple[KeptCells, ...]
 
 
 def _beside(types: NDArray[Any], kind: int) -> list[tuple[int, IndexArray]]:
-    """Types of the cells beside those that are optimised, but vertices, and which they are."""
+    """Types of cells that are neither optimised nor vertices, each with indices of its cells."""
     return [(other, np.flatnonzero(types == other)) for other in np.unique(types).tolist()
             if other not in (kind, VERTEX, POLY_VERTEX)]
 

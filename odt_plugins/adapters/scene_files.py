@@ -85,7 +85,7 @@ def write(path: Path, scene: Any) -> list[str]:
 
 
 def _joined(tree: dict[str, Any]) -> None:
-    """Make one mesh again of the primitives of one, of which trimesh makes nodes of their own."""
+    """Join the primitives of a mesh again, for which trimesh writes separate nodes."""
     nodes, meshes = tree.get("nodes", []), tree.get("meshes", [])
     owns = [node.get("mesh") for node in nodes]
     single = [own is not None and not {"children", "matrix", "translation", "rotation",

@@ -113,7 +113,7 @@ def write(result: Result, host: HostMesh) -> Any:
 
 
 def _renumbered(faces: NewFaces, number: NDArray[Any], corners: int) -> NewFaces:
-    """Corners of faces by their other numbers."""
+    """Renumber the corners of faces."""
     return faces._replace(rows=number[faces.rows[:, :corners]])
 
 

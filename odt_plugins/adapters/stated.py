@@ -70,7 +70,7 @@ def expect_counts(path: Path, name: str) -> int:
 
 
 def parts_of(path: Path, name: str) -> list[Path]:
-    """The file, and those that belong to it as far as they are there."""
+    """The files of a mesh that are there: the named one and all to which it refers."""
     if name == "tetgen":
         return [part for part in (path.with_suffix(".node"), path.with_suffix(".ele"))
                 if part.is_file()]

@@ -94,7 +94,7 @@ def some_option_flags(*names: str) -> Callable[[Callable[..., Any]], Callable[..
 def option_flags(
     command: Callable[..., Any], names: Sequence[str] = tuple(OPTIONS)
 ) -> Callable[..., Any]:
-    """Give a command one flag for every option that has one; all that is said is read there."""
+    """Give a command the flags of options, with the defaults and help texts of the options."""
     hints = get_type_hints(Options)
     for name, about in reversed(OPTIONS.items()):
         told: Any = about.metadata

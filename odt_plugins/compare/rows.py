@@ -186,7 +186,7 @@ def _runs(
     start: StartMesh, contestants: Sequence[Contestant], limits: Limits,
     begin: Callable[[Contestant], None],
 ) -> Iterator[tuple[Contestant, Run]]:
-    """Run those that take the mesh, one after the other, and tell why a tool takes none."""
+    """Run the contestants that take the mesh; of a tool of which none does, tell once why."""
     refused = refusals(start.kind, contestants)
     for contestant in contestants:
         if start.kind in contestant.kinds:

@@ -353,7 +353,7 @@ def _run_group(jobs: Mapping[int, Job]) -> Iterator[tuple[int, Row]]:
 
 
 def share_out(jobs: Sequence[Job], most: int = TOGETHER) -> list[list[int]]:
-    """Divide jobs, by their places, into those whose inputs share a process, in their order.
+    """Group jobs, by their indices, so that the inputs of a group share a process.
 
     Inputs of at most SMALL bytes share one, at most TOGETHER of them, and no more than `most`; none
     does whose memory is limited, or that TetWild fills.
@@ -442,7 +442,7 @@ def _ended_row(job: Job, key: str, folder: Path, facts_of: Callable[[], Row]) ->
 
 
 def _run_shared(jobs: Mapping[int, Job]) -> Iterator[tuple[int, Row]]:
-    """Rows of jobs that share a process; where it ends early each that is left has its own."""
+    """Run jobs in one process; if it ends early, each job that is left runs in its own."""
     waiting: list[tuple[int, str, Path]] = []
     for index, job in jobs.items():
         started = _begun(job)

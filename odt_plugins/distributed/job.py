@@ -171,7 +171,7 @@ def outside(exc: BaseException) -> bool:
 
 
 def _causes(exc: BaseException | None) -> Iterator[BaseException]:
-    """An exception and those that it comes from."""
+    """Give an exception, then its causes."""
     while exc is not None:
         yield exc
         exc = exc.__cause__ or exc.__context__

@@ -317,7 +317,7 @@ def _judged(
 def _looked_at(
     mesh: SimplexMesh, outcome: Outcome, options: Options, kept: Kept | None
 ) -> tuple[Outcome, list[str]]:
-    """A mesh that leaves, with what its judge measured, and what of the promise it breaks."""
+    """Judge a mesh that leaves: the mesh with the measured distances, and the broken promises."""
     given = outcome.points, outcome.cells, outcome.regions, options
     if kept is None:
         broken, slid = faults(mesh, *given, outcome.origin, outcome.metric)

@@ -359,7 +359,7 @@ def _publish(
     items: Sequence[tuple[str, Numbers | None]], index: Path, folder: Path, write: Any,
     apply: Apply,
 ) -> None:
-    """Write the pieces of the result, move them to their place, then write what names them."""
+    """Write the pieces of the result, move them to their place, then write their index."""
     fresh = folder / "pieces"
     fresh.mkdir()
     files = [fresh / piece_name(index, k) for k in range(len(items))]

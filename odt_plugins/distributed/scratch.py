@@ -39,7 +39,7 @@ def make_scratch(parent: Path, start: str) -> Path:
 
 
 def clear(folder: Path) -> None:
-    """Remove such a folder at one stroke; processes that still work in it then end or fail."""
+    """Remove a work folder at one stroke; processes that still work in it then end or fail."""
     gone = folder.with_name(folder.name + GONE)
     with contextlib.suppress(OSError):
         os.replace(folder, gone)

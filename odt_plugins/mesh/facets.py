@@ -32,7 +32,7 @@ class UnevenFacets(NamedTuple):
 
 
 def sorted_columns(rows: NDArray[Any]) -> tuple[list[NDArray[Any]], NDArray[np.bool_]]:
-    """Columns of rows (m, k) that are sorted one by one, and which took an odd permutation.
+    """Sort every row (k,) of rows (m, k): the new columns, and which rows took an odd permutation.
 
     Vertices in an odd permutation are a cell or a facet the other way round.
     """
@@ -148,7 +148,7 @@ def _facet_keys(
 def _uneven_keys(
     key: NDArray[np.uint64], part: slice
 ) -> tuple[NDArray[np.uint64], NDArray[np.uint64]]:
-    """Of a part of the sorted keys those without the other side beside them, and repeated ones."""
+    """Find the keys in a part of the sorted ones that lack the other side, and repeated keys."""
     low = max(part.start - 1, 0)
     near = key[low : part.stop + 1]
     own = slice(part.start - low, part.stop - low)

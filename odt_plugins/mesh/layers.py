@@ -254,7 +254,7 @@ def _alike(
     points: FloatArray, cells: IntArray, places: NDArray[np.int64], k: int, regular: FloatArray,
     stretch: Stretch, threads: int,
 ) -> NDArray[np.intp]:
-    """Cells whose shape is that of one of their vertices, where that is one of a layer."""
+    """Cells whose shape is near the mean around one of their vertices, if that is in a layer."""
     d = points.shape[1]
     bound = most_regular(stretch.ratio, d)
     total = _sums(places, None, k)

@@ -239,7 +239,7 @@ def with_same_cells(mesh: SimplexMesh, **changes: Any) -> SimplexMesh:
 
 
 def with_vertices(mesh: SimplexMesh, points: FloatArray) -> SimplexMesh:
-    """The mesh with its vertices at other places, and perhaps more of them, which are free."""
+    """Move the vertices of a mesh; vertices beyond the old number are added as free ones."""
     more = (0, len(points) - len(mesh.points))
     return replace(mesh, points=points, fixed=np.pad(mesh.fixed, more),
                    anchored=np.pad(mesh.anchored, more), coupled=np.pad(mesh.coupled, more))

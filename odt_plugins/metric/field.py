@@ -282,7 +282,7 @@ def _least(points: FloatArray, cells: IntArray, field: FloatArray) -> float:
 
 
 def _parts(values: Any) -> list[Any]:
-    """Fields of different units: those whose names are listed, or one."""
+    """Fields that have units of their own: one for each listed name, else a single one."""
     names = isinstance(values, list | tuple) and values and isinstance(values[0], str)
     return list(values) if names else [values]
 

@@ -69,7 +69,7 @@ def story(report: Any) -> list[str]:
 
 
 def _veto_line(facts: Mapping[str, Any], options: Mapping[str, Any]) -> str:
-    """Say which figures refused a state, what it had, and how to have it."""
+    """Say which figures made a state be refused, its quality, and the option that accepts it."""
     worse = ", ".join(f"{name} ({there:.4g}, before {old:.4g})"
                       for name, (old, there) in facts["worse"].items())
     left = tuple(name for name in options["keep"] if name not in facts["worse"])

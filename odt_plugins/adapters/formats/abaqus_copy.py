@@ -139,7 +139,7 @@ def _nodes(deck: Deck, names: Names, change: Change) -> list[Edit]:
 def _sorted_nodes(
     deck: Deck, names: Names, part: str, last: int, rows: dict[int, bytes]
 ) -> list[bytes]:
-    """Lines of new nodes behind the last one, so that they are in the sets of nodes they join."""
+    """Lines of new nodes, to stand behind the last node, with the sets that the nodes join."""
     own = [s for s in deck.sections if s.name == "NODE" and s.part == part]
     sets = dict.fromkeys(s.params["NSET"] for s in own if "NSET" in s.params)
     behind = next(s.params.get("NSET", "") for s in own if last in s.lines)

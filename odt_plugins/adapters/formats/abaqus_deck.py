@@ -277,7 +277,7 @@ def _with_elements(
 
 
 def _named(texts: list[bytes], section: Section) -> Iterator[str]:
-    """Nodes that a keyword and its lines name, among other words."""
+    """Words of a keyword and its lines that may name nodes."""
     yield from (value for key, value in section.params.items() if key.endswith("NODE"))
     where = NAMING.get(section.name)
     kind = re.sub(r"\s", "", section.params.get("TYPE", section.params.get("DEFINITION", "")))

@@ -57,6 +57,6 @@ def _name(name: str) -> str:
 
 
 def _lines(numbers: list[int], comma: str) -> list[str]:
-    """Lines of numbers, those that go on with a comma behind them."""
+    """Write numbers in lines, with a comma at the end of all lines but the last."""
     parts = [", ".join(map(str, numbers[k: k + A_LINE])) for k in range(0, len(numbers), A_LINE)]
     return [*(part + comma for part in parts[:-1]), parts[-1]]

@@ -100,7 +100,7 @@ def _rows(mesh: Any, section: str, keys: list[str]) -> NDArray[Any]:
 
 
 def _beside(path: Path) -> list[tuple[Path, str]]:
-    """Files whose names start with that of a mesh, but for other meshes and what is theirs."""
+    """Files named after a mesh, with the rest of each name; files of other meshes are left out."""
     near = [part for part in sorted(path.parent.glob("*.xml"))
             if part.stem.startswith(path.stem + "_")]
     meshes = [part.stem for part in near if _holds_mesh(part)]

@@ -40,7 +40,7 @@ class Block(NamedTuple):
 
 
 class Sides(NamedTuple):
-    """Sides of one type of a side set: its number, type, their places in it, and their nodes."""
+    """Sides of one type in a side set: number of the set, type, places in the set, nodes."""
 
     number: int
     kind: str
@@ -102,7 +102,7 @@ def read(path: Path) -> Any:
 
 
 def _besides(file: Any) -> list[str]:
-    """Name what the file has that no mesh holds, so that only a copy of the file keeps it."""
+    """Name what only a copy of the file keeps, since a meshio.Mesh has no place for it."""
     times = np.asarray(file.variables["time_whole"][:] if "time_whole" in file.variables else [])
     out = ["the times of its steps"] if times.any() else []
     for what, home in (("glo", "the whole mesh"), ("nset", "node sets"), ("elset", "element sets")):

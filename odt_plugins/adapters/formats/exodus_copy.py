@@ -274,7 +274,7 @@ def _write_side_sets(
     file: Any, change: Change, parts: tuple[list[Block], list[Sides]], starts: Any,
     source: NDArray[Any], values: dict[str, Any], sizes: dict[str, int],
 ) -> None:
-    """Name the same sides as before by the elements that have them now, or what they have become.
+    """Write the side sets with the elements and sides that the old sides have become.
 
     Faces of shells follow the cells whose data come from their elements.
 

@@ -114,7 +114,7 @@ def texts(rows: Any, count: int) -> list[str]:
 
 
 def components(names: list[str]) -> dict[str, list[int]]:
-    """Arrays that variables make up, by their places: three that end with X, Y, Z are one.
+    """Join variables into arrays, by their indices: three that end with X, Y and Z are one array.
 
     Two that end with _R and _Z are one too. Of equal names the first counts.
     """
@@ -141,7 +141,7 @@ def step_names(name: str, steps: int) -> list[str]:
 def facets_in(
     wanted: NDArray[np.int64], rows: NDArray[np.int64], kind: str, *, shell: bool
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Find cells that have facets, with their corners in the same direction if there are such.
+    """Find a cell with each facet, if possible one that has its corners in the same direction.
 
     Parameters
     ----------

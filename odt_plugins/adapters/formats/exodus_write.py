@@ -163,7 +163,7 @@ def _ids(labels: list[int]) -> list[int]:
 
 
 def _name(mesh: Any, parts: list[_Part]) -> str:
-    """First set that has just these cells, or has them all."""
+    """Name of the first set that is these cells, else of the first that contains them; else ""."""
     whole = []
     for name in mesh.cell_sets:
         own = [indices(mesh.cell_sets[name][i]) for i in range(len(mesh.cells))]

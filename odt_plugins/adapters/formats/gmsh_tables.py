@@ -112,7 +112,7 @@ class Nodes(NamedTuple):
 
 
 class Run(NamedTuple):
-    """Elements of one type that follow each other, in version 4 those of one entity.
+    """Consecutive elements of one type, in version 4 also of one entity.
 
     Attributes
     ----------

@@ -45,7 +45,7 @@ SOLID = {2: "line", 3: "triangle", 4: "tetra", 5: "pyramid", 6: "wedge", 8: "hex
 
 
 class Section(NamedTuple):
-    """What stands between Begin and End: kind, what is behind it, the parts around it, its rows."""
+    """The rows between Begin and End, with the kind, the words after it, and the part around."""
 
     kind: str
     name: str

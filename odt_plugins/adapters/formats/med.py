@@ -202,7 +202,7 @@ def words_of(family: Any) -> list[bytes]:
 
 
 class Field(NamedTuple):
-    """A field at a time: its title, where it stands, and what it stands on there.
+    """One time step of a field: its title, its group in the file, and its supports.
 
     Attributes
     ----------

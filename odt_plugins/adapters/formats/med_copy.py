@@ -100,7 +100,7 @@ def _expect_known(file: Any, name: str, change: Change, words: list[str]) -> Non
 
 
 def _put(group: Any, name: str, values: NDArray[Any]) -> None:
-    """Give a table other values, and its count of rows where it has one."""
+    """Write new values into a table, also of another length; its attributes stay."""
     table = group[name]
     if table.shape == values.shape:
         table[...] = values

@@ -197,7 +197,7 @@ def _numbers(
 def _vertices(
     data: bytes, words: list[tuple[bytes, int, int]], section: _Section, change: Change
 ) -> list[tuple[int, int, bytes]]:
-    """What replaces the section of vertices: those that stay as they stood, the others anew."""
+    """Edits for the section of vertices; vertices that did not move keep their text."""
     end = b"\r\n" if b"\r\n" in data else b"\n"
     span = words[section.start: section.stop]
     width = len(span) // section.size

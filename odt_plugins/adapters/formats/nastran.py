@@ -270,7 +270,7 @@ def parsed(path: Path) -> Deck:
 
 
 def _taken(card: Card, words: list[str], at: dict[int, int], found: dict[str, Any]) -> bool:
-    """Put an element among those of its type, if that is known.
+    """Add an element to the block of its type; False if the type is not known.
 
     Raises
     ------
@@ -432,7 +432,7 @@ def _lists(deck: Deck) -> Iterator[tuple[Card, str, set[int]]]:
 
 
 def _elements(card: Card, words: list[str], ids: NDArray[np.int64]) -> Iterator[int]:
-    """Numbers of elements that are there among those that words name, each or in ranges."""
+    """Existing numbers of elements in a list of numbers and of ranges with THRU and BY."""
     words = [word for word in words if word]
     k = 0
     while k < len(words):
@@ -467,7 +467,7 @@ def side_blocks(deck: Deck) -> dict[tuple[str, int, str], list[int]]:
 def _placed(
     cards: list[Card]
 ) -> tuple[list[Card], dict[tuple[str, int], int], NDArray[np.float64], list[int], str]:
-    """Cards, indices and places of points, those that lie in another system, and that of new ones.
+    """Cards, indices and places of points, points in another system, and the system of new points.
 
     Where all points are in one that is rectangular or not there, it serves as the basic one.
 

@@ -189,7 +189,7 @@ def _loads(deck: Deck, names: Names, change: Change) -> list[Edit]:
 
 
 def _lists(deck: Deck, names: Names) -> list[Edit]:
-    """What replaces cards that name elements that went, or to which others came.
+    """Edits for cards that list elements of which some are gone or have successors.
 
     Raises
     ------

@@ -181,7 +181,7 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
 
 
 def _with_others(found: _Lines, change: Change) -> list[bytes]:
-    """Lines with other vertices; faces are where those are from which their data come.
+    """Lines of a file with new vertices; each face stands where its source face stood.
 
     Raises
     ------

@@ -174,7 +174,7 @@ def _counted(data: bytes, head: Row, count: int) -> Edit:
 
 
 def _numbers(names: list[str]) -> dict[str, int]:
-    """Numbers of markers: their names where these are such, others in their order behind."""
+    """Number markers: a name that is a number is its own, any other follows the one before."""
     out: dict[str, int] = {}
     last = 0
     for name in names:

@@ -254,7 +254,7 @@ def _beside(path: Path, suffix: str) -> Table | None:
 
 
 def _marked(table: Table, width: int) -> list[tuple[Row, int]]:
-    """Rows that have a marker other than 0, and these."""
+    """Rows that have a marker other than 0, each with its marker."""
     if not table.counts[1]:
         return []
     return [(row, int(row.words[1 + width])) for row in table.rows

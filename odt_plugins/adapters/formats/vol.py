@@ -374,7 +374,7 @@ def _correspond(change: Change) -> bool:
 def _blocks(
     change: Change, rows: Sequence[Row], kinds: set[str]
 ) -> list[tuple[int, NDArray[np.int64], list[int]]]:
-    """Blocks of cells of some types, which rows they are, and in which order these have nodes."""
+    """For every block of some types: its number, its rows in the file, and their order of nodes."""
     out = []
     for kind in sorted(kinds):
         size = NODES[kind]

@@ -241,7 +241,7 @@ def _shape(stated: list[int], count: int, values: NDArray[Any]) -> list[int]:
 
 
 def _written(text: bytes, old: NDArray[Any], values: NDArray[Any]) -> bytes:
-    """The text of numbers with others, those that stay as they were."""
+    """Write new values into the text of an array; the words of unchanged values stay."""
     def word(value: Any) -> bytes:
         if values.dtype.kind == "f":
             exact = np.asarray(value, dtype=old.dtype)

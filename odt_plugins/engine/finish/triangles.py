@@ -20,7 +20,7 @@ from odt_plugins.mesh.quantiles import quantile
 
 
 class TriangleDescent(ABC):
-    """Triangles under one phase: flips start from the pending ones and go on from what they change.
+    """Descent of triangles in one phase: flips start at pending triangles, then at changed ones.
 
     Parameters
     ----------

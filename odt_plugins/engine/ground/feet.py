@@ -12,7 +12,7 @@ from odt_plugins.mesh.arrays import IntArray
 
 
 def reaching(triangles: IntArray, foot: IntArray, patch: IntArray) -> IntArray:
-    """Give triangles none of whose corners has its foot on their piece one that has.
+    """Change feet so that every triangle has a corner whose foot lies on the piece of the triangle.
 
     Parameters
     ----------

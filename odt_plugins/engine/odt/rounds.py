@@ -249,7 +249,7 @@ def local_flips(
 
 
 def _cells(mesh: Complex, options: Options) -> IntArray:
-    """Cells of a mesh; sweeps over stars take its slots as they are, free ones among them."""
+    """Cells for a position step; sweeps over stars take all slots, also the free ones."""
     sweeps = options.smoothing.solver == "gauss-seidel" and options.method != "cvt"
     return mesh.cells[: mesh.used] if sweeps and options.finish else mesh.mesh_arrays()[0]
 

@@ -42,7 +42,7 @@ def named(found: Figures) -> dict[str, float]:
 
 
 def having(found: Figures) -> str:
-    """End of a sentence on a state that was refused: what it had."""
+    """End of a sentence on a refused state: its mean and least quality."""
     return f" at mean q {found.mean_quality:.3f} and least q {found.min_quality:.3f}"
 
 

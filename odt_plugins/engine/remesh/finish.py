@@ -130,7 +130,7 @@ def finished(
 
 
 def _placed(resized: Outcome, leaving: Leaving) -> Outcome:
-    """A mesh with its vertices where they leave, so that those which stay from here on are there.
+    """Move vertices to the coordinates in which they leave, so that later stages keep those.
 
     The caller's coordinates may be shorter numbers. Where cells would fold all stays.
     """
@@ -185,7 +185,7 @@ def _pieces(mesh: Outcome) -> tuple[IntArray, IntArray]:
 
 
 def _nearest(points: FloatArray, known: BoolArray) -> LongArray:
-    """Vertex (n,) among the known ones that is nearest to each; of those it is itself."""
+    """Known vertex (n,) nearest to every vertex; a known one is nearest to itself."""
     from scipy.spatial import cKDTree
 
     number, old = np.arange(len(points)), np.flatnonzero(known)

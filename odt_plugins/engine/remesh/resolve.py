@@ -102,7 +102,7 @@ def _keys(pairs: IntArray) -> IntArray:
 
 
 def _stays(mesh: SimplexMesh) -> IntArray:
-    """Numbers of the edges that must stay whole: marked ones, and those of cells that stay."""
+    """Keys of the edges that must not be split: marked edges, and edges of frozen cells."""
     frozen = mesh.cells[mesh.frozen]
     sides = [rows[:, list(pair)] for rows in (frozen, mesh.stays, mesh.lines)
              for pair in combinations(range(rows.shape[1]), 2)]
@@ -110,7 +110,7 @@ def _stays(mesh: SimplexMesh) -> IntArray:
 
 
 def _between(one: FloatArray, two: FloatArray) -> FloatArray:
-    """Means of two lengths, the other one where one is without bound."""
+    """Means of two lengths; where one has no bound, the other one."""
     low = np.minimum(one, two)
     return np.where(np.isfinite(np.maximum(one, two)), 0.5 * (one + two), low)
 
@@ -149,7 +149,7 @@ def _widths(mesh: SimplexMesh, length: FloatArray) -> FloatArray:
 def _one_in_a_cell(
     cells: IntArray, edges: IntArray, marked: BoolArray, length: FloatArray
 ) -> IntArray:
-    """Marked edges that are the longest marked one of all their cells, ascending."""
+    """Marked edges, ascending, that are the longest marked edge of each of their cells."""
     rank = np.empty(len(edges), dtype=np.int64)
     rank[np.argsort(np.where(marked, length, -1.0), kind="stable")] = np.arange(len(edges))
     sides = _sides(cells, edges)

@@ -69,7 +69,7 @@ def labels_beside(labels: IntArray | LongArray, edges: Edges) -> tuple[LongArray
 
 
 def _turned(step: FloatArray, length: FloatArray, chain: IntArray) -> BoolArray:
-    """Mark the edges (k,) of lines that turn at one of their ends."""
+    """Mark the edges (k,) at one of whose ends the line turns."""
     cross = step[:-1, 0] * step[1:, 1] - step[:-1, 1] * step[1:, 0]
     turns = (np.abs(cross) > STRAIGHT * length[:-1] * length[1:]) & (chain[:-1] == chain[1:])
     out = np.zeros(len(chain), dtype=np.bool_)

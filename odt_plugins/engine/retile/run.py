@@ -186,7 +186,7 @@ def _bounds(mesh: SimplexMesh, keep: tuple[str, ...]) -> Extremes:
 
 
 def _columns(mesh: SimplexMesh) -> list[int]:
-    """Columns of the points of a net that are those of a mesh, those of its metric behind them."""
+    """Columns of the points of a net that hold the coordinates of a mesh, then its metric."""
     if mesh.is_surface:
         return list(range(9 if len(mesh.metric) else 3))
     return [0, 1, *(3 + k for k in IN_PLANE if len(mesh.metric))]

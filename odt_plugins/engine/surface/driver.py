@@ -503,7 +503,7 @@ def _settle(
 def _judged(
     start: SurfaceStart, kept: Kept, options: Options, leaving: Leaving, state: State
 ) -> tuple[Outcome, list[str]]:
-    """A state as it leaves, and what it breaks of the promise."""
+    """Judge a state: the outcome as it leaves, and the broken promises."""
     outcome = leaving(start.placed(state))
     broken, distance = faults(
         start.mesh, kept, outcome.points, outcome.cells, outcome.regions, options, outcome.metric

@@ -53,7 +53,7 @@ class Surface:
 
     @property
     def points(self) -> FloatArray:
-        """Coordinates (n, 3) as they are now, a metric behind them if there is one."""
+        """Present coordinates (n, 3), followed by the metric if there is one."""
         return self.sheet.points
 
     @property

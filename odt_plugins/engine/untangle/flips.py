@@ -40,7 +40,7 @@ Cell = tuple[int, ...]
 
 
 class Change(NamedTuple):
-    """Cells, by their numbers, and those that may take their place."""
+    """A flip: the numbers of the cells it takes away, and the cells it makes instead."""
 
     taken: set[int]
     made: list[Cell]

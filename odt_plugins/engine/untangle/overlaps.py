@@ -76,7 +76,7 @@ def _meeting(points: FloatArray, one: IntArray, two: IntArray) -> FloatArray:
 
 
 def _folded(points: FloatArray, facets: IntArray, near: BoolArray) -> tuple[IntArray, IntArray]:
-    """Facets that share all but one vertex and lie on each other there, by their numbers."""
+    """Pairs of facets, by number, that share all but one vertex and lie on each other."""
     k, d = facets.shape
     shared = np.concatenate([np.delete(facets, i, axis=1) for i in range(d)])
     apart = facets.T.ravel()

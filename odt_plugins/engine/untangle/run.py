@@ -129,7 +129,7 @@ def _changes(mesh: SimplexMesh, bad: BoolArray, most: int) -> Iterator[tuple[Sim
 def _changed(
     mesh: SimplexMesh, points: FloatArray, cells: IntArray, source: LongArray
 ) -> SimplexMesh:
-    """A mesh with other cells, each with the label of the one that it comes from."""
+    """Exchange the cells of a mesh; each new one has the label of its source."""
     return replace(with_vertices(mesh, points), cells=cells, regions=mesh.regions[source],
                    frozen=mesh.frozen[source])
 

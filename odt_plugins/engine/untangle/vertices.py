@@ -43,7 +43,7 @@ Facet = tuple[int, int]
 
 
 class Cavity(NamedTuple):
-    """Cells, the facets around them, the place to join these to, and how far it is from them."""
+    """Cells, the facets around them, the place of a new vertex, its distance from the facets."""
 
     cells: list[int]
     facets: list[Facet]
