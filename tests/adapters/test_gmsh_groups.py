@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from gmsh_sessions import session
 
 from odt_plugins.adapters.files import read_file, write_file
 from odt_plugins.api import optimize_file
@@ -12,12 +13,9 @@ from odt_plugins.errors import DataNotKeptWarning
 
 @pytest.fixture
 def gmsh():
-    module = pytest.importorskip("gmsh")
-    module.initialize(interruptible=False)
-    module.option.setNumber("General.Terminal", 0)
-    module.model.add("groups")
-    yield module
-    module.finalize()
+    with session() as module:
+        module.model.add("groups")
+        yield module
 
 
 def model(gmsh, path, *, named, binary, version=2.2):

@@ -9,6 +9,7 @@ import contract
 import meshio
 import numpy as np
 import pytest
+from gmsh_sessions import session
 
 from odt_plugins.adapters.files import read_file, write_file
 from odt_plugins.api import optimize_file
@@ -22,12 +23,9 @@ OWN = b"$MyOwn\n 1\ttwo 3.\n$EndMyOwn\n$Comments\nhello\n$EndComments\n"
 
 @pytest.fixture
 def gmsh():
-    module = pytest.importorskip("gmsh")
-    module.initialize(interruptible=False)
-    module.option.setNumber("General.Terminal", 0)
-    module.model.add("everything")
-    yield module
-    module.finalize()
+    with session() as module:
+        module.model.add("everything")
+        yield module
 
 
 def store(gmsh, path, version, binary, *, order=1, parts=0):

@@ -8,6 +8,7 @@ import meshio
 import numpy as np
 import pytest
 from format_table import mesh_of_everything
+from gmsh_sessions import session
 
 from odt_plugins import remesh
 from odt_plugins.adapters.files import read_file, write_file
@@ -19,11 +20,8 @@ STEP = "-0000000000000000001-0000000000000000001"
 
 @pytest.fixture
 def gmsh():
-    module = pytest.importorskip("gmsh")
-    module.initialize(interruptible=False)
-    module.option.setNumber("General.Terminal", 0)
-    yield module
-    module.finalize()
+    with session() as module:
+        yield module
 
 
 def groups(gmsh, path):

@@ -163,6 +163,22 @@ def sheet(k, height=lambda x, y: 0.0 * x):
     return points, grid(k + 1, k + 1)
 
 
+def uneven_sheet(n, height, seed, shift):
+    """Triangles of a shifted unit square whose inner vertices were moved at random."""
+    rng = np.random.default_rng(seed)
+    u = np.linspace(0, 1, n + 1)
+    x, y = (a.ravel().copy() for a in np.meshgrid(u, u, indexing="ij"))
+    inside = (x > 0) & (x < 1) & (y > 0) & (y < 1)
+    x[inside] += rng.uniform(-0.25, 0.25, inside.sum()) / n
+    y[inside] += rng.uniform(-0.25, 0.25, inside.sum()) / n
+    x, y = x + shift, y + shift / 2
+    index = np.arange((n + 1) ** 2).reshape(n + 1, n + 1)
+    a, b, c, d = (i.ravel() for i in (index[:-1, :-1], index[1:, :-1], index[1:, 1:],
+                                      index[:-1, 1:]))
+    cells = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
+    return np.stack([x, y, height(x, y)], axis=1), cells
+
+
 def ring():
     """A flat square with a square hole in the middle."""
     points, cells = sheet(5)

@@ -103,21 +103,6 @@ def test_both_triangles_of_a_crossing_are_near_it():
     assert outside(mesh, kept, tilted, cells).tolist() == 3 * [True] + 3 * [False] + 3 * [True]
 
 
-def sheet(n, height, seed, shift):
-    rng = np.random.default_rng(seed)
-    u = np.linspace(0, 1, n + 1)
-    x, y = (a.ravel().copy() for a in np.meshgrid(u, u, indexing="ij"))
-    inside = (x > 0) & (x < 1) & (y > 0) & (y < 1)
-    x[inside] += rng.uniform(-0.25, 0.25, inside.sum()) / n
-    y[inside] += rng.uniform(-0.25, 0.25, inside.sum()) / n
-    x, y = x + shift, y + shift / 2
-    index = np.arange((n + 1) ** 2).reshape(n + 1, n + 1)
-    a, b, c, d = (i.ravel() for i in (index[:-1, :-1], index[1:, :-1], index[1:, 1:],
-                                      index[:-1, 1:]))
-    cells = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
-    return np.stack([x, y, height(x, y)], axis=1), cells
-
-
 @pytest.mark.parametrize(("height", "often", "seed"), [(2e-3, (9, 7), 1), (5e-4, (25, 21), 3)])
 def test_sheets_that_cross_many_times_gain_with_every_larger_envelope(height, often, seed):
     def low(x, y):
@@ -126,7 +111,8 @@ def test_sheets_that_cross_many_times_gain_with_every_larger_envelope(height, of
     def high(x, y):
         return low(x, y) + height * np.sin(often[0] * x) * np.sin(often[1] * y)
 
-    one, two = sheet(20, low, 0, 0.0), sheet(20, high, seed, 0.003 + 0.001 * (seed == 3))
+    one = sm.uneven_sheet(20, low, 0, 0.0)
+    two = sm.uneven_sheet(20, high, seed, 0.003 + 0.001 * (seed == 3))
     mesh = np.concatenate([one[0], two[0]]), np.concatenate([one[1], two[1] + len(one[0])])
     means = [odt_plugins.optimize_with_report(mesh, envelope=size)[1].after.mean_quality
              for size in (1e-3, 7e-4, 5e-4, 3e-4, 2e-4, 1e-4, 5e-5)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import surface_meshes as sm
 
 import odt_plugins
 from odt_plugins.engine.ground.crossings import crossing_triangles
@@ -157,21 +158,6 @@ def test_triangles_that_share_one_vertex_may_cross():
     assert not crossing_triangles(points, cells).any()
 
 
-def sheet(n, height, seed, shift):
-    rng = np.random.default_rng(seed)
-    u = np.linspace(0, 1, n + 1)
-    x, y = (a.ravel().copy() for a in np.meshgrid(u, u, indexing="ij"))
-    inside = (x > 0) & (x < 1) & (y > 0) & (y < 1)
-    x[inside] += rng.uniform(-0.25, 0.25, inside.sum()) / n
-    y[inside] += rng.uniform(-0.25, 0.25, inside.sum()) / n
-    x, y = x + shift, y + shift / 2
-    index = np.arange((n + 1) ** 2).reshape(n + 1, n + 1)
-    a, b, c, d = (i.ravel() for i in (index[:-1, :-1], index[1:, :-1], index[1:, 1:],
-                                      index[:-1, 1:]))
-    cells = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
-    return np.stack([x, y, height(x, y)], axis=1), cells
-
-
 def test_a_larger_envelope_gives_no_less():
     """Two sheets that cross at a small angle: where they do, runs come into conflict."""
     def low(x, y):
@@ -180,7 +166,7 @@ def test_a_larger_envelope_gives_no_less():
     def high(x, y):
         return low(x, y) + 0.002 * np.sin(9 * x) * np.sin(7 * y)
 
-    one, two = sheet(20, low, 0, 0.0), sheet(20, high, 1, 0.003)
+    one, two = sm.uneven_sheet(20, low, 0, 0.0), sm.uneven_sheet(20, high, 1, 0.003)
     mesh = np.concatenate([one[0], two[0]]), np.concatenate([one[1], two[1] + len(one[0])])
     means = [odt_plugins.optimize_with_report(mesh, envelope=size)[1].after.mean_quality
              for size in (1e-3, 2.5e-4)]
