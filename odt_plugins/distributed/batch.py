@@ -36,11 +36,12 @@ from odt_plugins.distributed.job import (
 )
 from odt_plugins.distributed.local import end_with
 from odt_plugins.distributed.scratch import clear, make_scratch
-from odt_plugins.distributed.versions import expect_versions, installed_version, versions_here
+from odt_plugins.distributed.versions import expect_versions, versions_here
 from odt_plugins.errors import InvalidOptionError, MeshFileError, exit_name
 from odt_plugins.options import COMPILING, EDGE_LENGTH, make_options
 from odt_plugins.processes import ENDED, GROUP, end_group, expect_limits, handling
 from odt_plugins.progress import silent
+from odt_plugins.report.machine import installed_version
 from odt_plugins.tetwild import expect_pytetwild
 
 HIDDEN = ".batch"

@@ -5,21 +5,11 @@ from __future__ import annotations
 import os
 import socket
 from collections.abc import Mapping
-from functools import cache
-from importlib.metadata import PackageNotFoundError, version
 
 from odt_plugins.errors import InvalidOptionError
+from odt_plugins.report.machine import installed_version
 
 PACKAGES = ("odt-plugins", "numpy", "scipy", "pyamg")
-
-
-@cache
-def installed_version(name: str) -> str:
-    """Version of a package as this process first found it, or "not installed"."""
-    try:
-        return version(name)
-    except PackageNotFoundError:
-        return "not installed"
 
 
 def versions_here() -> dict[str, str]:

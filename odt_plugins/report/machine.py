@@ -6,6 +6,7 @@ import os
 import platform
 import sys
 import time
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -22,12 +23,16 @@ def describe(threads: int, seed: int) -> dict[str, str | int]:
     }
     if hasattr(os, "getloadavg"):
         facts["load at the end"] = f"{os.getloadavg()[0]:.1f}"
-    for name in PACKAGES:
-        try:
-            facts[name] = version(name)
-        except PackageNotFoundError:
-            facts[name] = "not installed"
-    return facts
+    return facts | {name: installed_version(name) for name in PACKAGES}
+
+
+@cache
+def installed_version(name: str) -> str:
+    """Version of a package as this process first found it, or "not installed"."""
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "not installed"
 
 
 def _processor() -> str:

@@ -7,7 +7,6 @@ import json
 import platform
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from importlib.metadata import PackageNotFoundError, version
 from os import PathLike
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -22,6 +21,7 @@ from odt_plugins.mesh.simplex import SimplexMesh, vertex_mask
 from odt_plugins.options import Options, Smoothing
 from odt_plugins.promise.volume import held_by, held_vertices
 from odt_plugins.report.binding import BindingCell, Freeing, binding_cells
+from odt_plugins.report.machine import installed_version
 from odt_plugins.report.story import story
 from odt_plugins.table import table_html, table_lines, text_html
 from odt_plugins.untangling import Tangle, worse_than_valid
@@ -448,10 +448,6 @@ def _plain(value: Any) -> Any:
 
 def versions() -> dict[str, str]:
     """Versions of what computes."""
-    found = {"python": platform.python_version()}
-    for name in ("odt-plugins", "numpy", "scipy", "numba", "pyamg"):
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            found[name] = "not installed"
-    return found
+    names = ("odt-plugins", "numpy", "scipy", "numba", "pyamg")
+    return {"python": platform.python_version()} | {
+        name: installed_version(name) for name in names}

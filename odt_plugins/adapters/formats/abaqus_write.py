@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from odt_plugins.adapters.formats.abaqus_tables import IN_PLANE, IN_SPACE, WORDS
-from odt_plugins.adapters.formats.decks import indices, real
-from odt_plugins.errors import UnsupportedMeshError
+from odt_plugins.adapters.formats.decks import indices, real, refuse_types
 
 WIDEST, A_LINE = 20, 16
 """Letters of a number and numbers on a line that Abaqus reads."""
@@ -25,10 +24,7 @@ def write(path: Path, mesh: Any, binary: bool | None) -> list[str]:
     """
     points: Any = np.asarray(mesh.points).tolist()
     words = WORDS | (IN_PLANE if mesh.points.shape[1] == 2 else IN_SPACE)
-    unknown = sorted({block.type for block in mesh.cells if len(block.data)} - words.keys())
-    if unknown:
-        msg = f"it holds no cells of type {', '.join(unknown)}"
-        raise UnsupportedMeshError(msg)
+    refuse_types({block.type for block in mesh.cells if len(block.data)} - words.keys())
     lines = ["*HEADING", "*NODE"]
     lines += [", ".join([str(v + 1), *(real(float(x), WIDEST).decode() for x in place)])
               for v, place in enumerate(points)]

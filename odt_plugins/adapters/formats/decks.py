@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from odt_plugins.adapters.formats.change import Change, NotRewritable
 from odt_plugins.adapters.regions import region_names, spreads
+from odt_plugins.errors import UnsupportedMeshError
 
 Name = tuple[str, int]
 """Part and number of a node or an element."""
@@ -131,6 +132,13 @@ def expect_points(rows: NDArray[np.int64], count: int, first: int = 0) -> None:
     bad = rows[(rows < 0) | (rows >= count)]
     if bad.size:
         raise KeyError(int(bad[0]) + first)
+
+
+def refuse_types(unknown: Collection[str]) -> None:
+    """Refuse cells of types that a format does not hold, if there are any."""
+    if unknown:
+        msg = f"it holds no cells of type {', '.join(sorted(unknown))}"
+        raise UnsupportedMeshError(msg)
 
 
 def real(x: float, width: int = 24) -> bytes:

@@ -230,15 +230,7 @@ def _element_sets(
                for part, start in zip(parts, starts, strict=False)]
         if name not in named and any(map(len, own)):
             sets[name] = np.concatenate(own)
-    if not sets:
-        return
-    file.createDimension("num_elem_sets", len(sets))
-    _put(file, "els_status", ("num_elem_sets",), np.ones(len(sets), dtype=np.int32))
-    _put(file, "els_prop1", ("num_elem_sets",), np.arange(len(sets)) + 1).setncattr("name", "ID")
-    _strings(file, "els_names", "num_elem_sets", [*sets])
-    for k, elements in enumerate(sets.values(), 1):
-        file.createDimension(f"num_ele_els{k}", len(elements))
-        _put(file, f"elem_els{k}", (f"num_ele_els{k}",), elements)
+    _put_sets(file, "elem", "els", sets)
 
 
 def _node_sets(file: Any, mesh: Any) -> None:
@@ -247,16 +239,23 @@ def _node_sets(file: Any, mesh: Any) -> None:
         given = np.asarray(members)
         nodes = np.flatnonzero(given) if given.dtype == np.bool_ else given.ravel()
         if len(nodes):
-            sets[name] = nodes.astype(np.int64)
+            sets[name] = nodes.astype(np.int64) + 1
+    _put_sets(file, "node", "ns", sets)
+
+
+def _put_sets(file: Any, what: str, kind: str, sets: dict[str, NDArray[np.int64]]) -> None:
+    """Write sets of elements, "elem" and "els", or of nodes, "node" and "ns", if there are any."""
     if not sets:
         return
-    file.createDimension("num_node_sets", len(sets))
-    _put(file, "ns_status", ("num_node_sets",), np.ones(len(sets), dtype=np.int32))
-    _put(file, "ns_prop1", ("num_node_sets",), np.arange(len(sets)) + 1).setncattr("name", "ID")
-    _strings(file, "ns_names", "num_node_sets", [*sets])
-    for k, nodes in enumerate(sets.values(), 1):
-        file.createDimension(f"num_nod_ns{k}", len(nodes))
-        _put(file, f"node_ns{k}", (f"num_nod_ns{k}",), nodes + 1)
+    count = f"num_{what}_sets"
+    file.createDimension(count, len(sets))
+    _put(file, f"{kind}_status", (count,), np.ones(len(sets), dtype=np.int32))
+    _put(file, f"{kind}_prop1", (count,), np.arange(len(sets)) + 1).setncattr("name", "ID")
+    _strings(file, f"{kind}_names", count, [*sets])
+    for k, members in enumerate(sets.values(), 1):
+        size = f"num_{what[:3]}_{kind}{k}"
+        file.createDimension(size, len(members))
+        _put(file, f"{what}_{kind}{k}", (size,), members)
 
 
 def _columns(arrays: Any) -> dict[str, Any]:

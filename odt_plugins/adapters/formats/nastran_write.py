@@ -7,10 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from odt_plugins.adapters.formats.decks import real
+from odt_plugins.adapters.formats.decks import real, refuse_types
 from odt_plugins.adapters.formats.nastran import LABEL
 from odt_plugins.adapters.formats.nastran_tables import KINDS
-from odt_plugins.errors import UnsupportedMeshError
 
 CARDS = {kind: name for name, kinds in reversed(KINDS.items()) for kind in kinds.values()}
 """Elements by types of cells, the first that has one."""
@@ -29,10 +28,7 @@ def write(path: Path, mesh: Any, binary: bool | None) -> list[str]:
     ------
     UnsupportedMeshError    there are cells that no element is known for
     """
-    unknown = sorted({block.type for block in mesh.cells if len(block.data)} - CARDS.keys())
-    if unknown:
-        msg = f"it holds no cells of type {', '.join(unknown)}"
-        raise UnsupportedMeshError(msg)
+    refuse_types({block.type for block in mesh.cells if len(block.data)} - CARDS.keys())
     points: Any = np.zeros((len(mesh.points), 3))
     points[:, : mesh.points.shape[1]] = mesh.points
     lines = ["BEGIN BULK"]

@@ -19,9 +19,10 @@ from odt_plugins.adapters.formats.decks import (
     expect_points,
     numbers,
     real,
+    refuse_types,
     rows_of,
 )
-from odt_plugins.errors import MeshFileError, UnsupportedMeshError
+from odt_plugins.errors import MeshFileError
 
 REF, ATTRIBUTE = "tetgen:ref", "tetgen:attr"
 """Array of the markers of points and faces, and of the first attribute of cells; attributes of
@@ -171,10 +172,7 @@ def write(path: Path, mesh: Any, binary: bool | None) -> list[str]:
     of = {kind: (dim, size) for (dim, size), (kind, _) in KINDS.items() if dim == 3}
     main = next((block.type for block in mesh.cells if block.type in of), "tetra")
     beside = {kind: suffix for suffix, kind in _files_beside(*of[main])}
-    unknown = sorted({block.type for block in mesh.cells} - {main, *beside})
-    if unknown:
-        msg = f"it holds no cells of type {', '.join(unknown)}"
-        raise UnsupportedMeshError(msg)
+    refuse_types({block.type for block in mesh.cells} - {main, *beside})
     labels = mesh.cell_data.get(REF)
     points = np.asarray(mesh.points)
     marks = [np.asarray(mesh.point_data[REF])] if REF in mesh.point_data else []

@@ -9,7 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.errors import MeshFileError, UnsupportedMeshError
+from odt_plugins.adapters.formats.decks import refuse_types
+from odt_plugins.errors import MeshFileError
 
 REF = "ugrid:ref"
 """Array of the numbers of boundaries, 0 of volumes."""
@@ -122,10 +123,7 @@ def write(path: Path, mesh: Any, binary: bool | None) -> list[str]:
     del binary
     known = FLAT | SOLID
     place = {block.type: i for i, block in enumerate(mesh.cells)}
-    unknown = sorted(place.keys() - known.keys())
-    if unknown:
-        msg = f"it holds no cells of type {', '.join(unknown)}"
-        raise UnsupportedMeshError(msg)
+    refuse_types(place.keys() - known.keys())
     rows = {kind: np.asarray(mesh.cells[i].data, dtype=np.int64) + 1 for kind, i in place.items()}
     if "pyramid" in rows:
         rows["pyramid"] = rows["pyramid"][:, np.argsort(PYRAMID)]
