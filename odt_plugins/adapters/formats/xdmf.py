@@ -74,13 +74,11 @@ class Cells(NamedTuple):
     ----------
     grid : Grid
     parts : list of (str, array)     type and rows of nodes of cells of one type that follow
-    codes : list of int or None      their numbers in a list of mixed cells
     where : (m, 2) int               block of the mesh, and row there, of every cell
     """
 
     grid: Grid
     parts: list[tuple[str, NDArray[np.int64]]]
-    codes: list[int | None]
     where: NDArray[np.int64]
 
 
@@ -296,13 +294,13 @@ def _distinct(doc: Document, grids: list[Grid], count: int) -> list[Cells]:
     for grid in grids:
         if any(_same_place(doc, grid.topology, own.grid.topology) for own in out):
             continue
-        parts, codes = cells_of(doc, grid.topology)
+        parts, _ = cells_of(doc, grid.topology)
         for kind, rows in parts:
             bad = rows[(rows < 0) | (rows >= count)]
             if bad.size:
                 msg = f"a {kind} of {grid.name!r} refers to point {bad[0]} of {count}"
                 raise MeshFileError(msg)
-        out.append(Cells(grid, parts, codes, np.zeros((0, 2), dtype=np.int64)))
+        out.append(Cells(grid, parts, np.zeros((0, 2), dtype=np.int64)))
     return out
 
 

@@ -45,15 +45,11 @@ class ExchangeStats:
     exchanged : int         pieces that were exchanged
     missing_facet : int     left alone: a boundary facet is no Delaunay facet, or no counterpart
     several_regions : int   left alone: more than one region label inside
-    inactive : int          left alone: a cell that the caller excluded
     hidden_vertex : int     left alone: the Delaunay piece does not use every vertex
     flat : int              left alone: a Delaunay cell is flat
     volume : int            left alone: the two volumes differ
     energy : int            left alone: the energy does not fall
     guard : int             left alone: a cell of fixed vertices would be too bad
-    largest_left : int      number of cells of the largest piece left alone
-    energy_before : float   ODT energy, uniform density, of the mesh before [length^(d+2)]
-    energy_after : float    the same of the mesh handed back
     failure : str           Qhull's complaint when it gave no triangulation, else empty
     """
 
@@ -62,15 +58,11 @@ class ExchangeStats:
     exchanged: int = 0
     missing_facet: int = 0
     several_regions: int = 0
-    inactive: int = 0
     hidden_vertex: int = 0
     flat: int = 0
     volume: int = 0
     energy: int = 0
     guard: int = 0
-    largest_left: int = 0
-    energy_before: float = 0.0
-    energy_after: float = 0.0
     failure: str = ""
 
 
@@ -80,7 +72,6 @@ def delaunay_exchange(
     regions: IntArray,
     fixed: BoolArray | None = None,
     *,
-    active: BoolArray | None = None,
     limit: Extremes = FREELY,
 ) -> tuple[IntArray, IntArray, ExchangeStats]:
     """Exchange every piece of a mesh that the Delaunay triangulation of its vertices improves.
@@ -96,7 +87,6 @@ def delaunay_exchange(
     cells : (m, d + 1) int32     vertex indices, signed volumes positive
     regions : (m,) int32         region labels
     fixed : (n,) bool            vertices that never move; None switches the guard off
-    active : (m,) bool           cells that may be exchanged; None means all
     limit : Extremes             for new cells of fixed vertices, see Notes
 
     Returns
@@ -119,7 +109,6 @@ def delaunay_exchange(
     """
     from scipy.spatial import Delaunay, QhullError
 
-    dim = points.shape[1]
     used = np.unique(cells)
     to_used = np.full(len(points), -1, dtype=np.int64)
     to_used[used] = np.arange(len(used))
@@ -128,14 +117,11 @@ def delaunay_exchange(
     local = (points[used] - 0.5 * (low + high)) / scale
     old = to_used[cells]
     old_volume, old_energy, _ = _measures(local, old)
-    unit = scale ** (dim + 2)
-    before = float(old_energy.sum()) * unit
     try:
         new = Delaunay(local).simplices.astype(np.int64)
     except (QhullError, ValueError) as error:
         failure = (str(error).strip().splitlines() or [type(error).__name__])[0]
-        stats = ExchangeStats(failure=failure, energy_before=before, energy_after=before)
-        return cells.copy(), regions.copy(), stats
+        return cells.copy(), regions.copy(), ExchangeStats(failure=failure)
     new_volume, new_energy, new_flat = _measures(local, new)
     turned = new_volume < 0.0
     new[turned, :2] = new[turned, 1::-1]
@@ -164,8 +150,6 @@ def delaunay_exchange(
     label = np.empty(n_old, dtype=np.int32)
     label[old_piece] = regions
     refuse("several_regions", per_old(regions != label[old_piece]) > 0)
-    if active is not None:
-        refuse("inactive", per_old(~active) > 0)
     refuse("flat", per_new(new_flat) > 0)
 
     owner = np.full(n_new, -1, dtype=np.int64)
@@ -190,14 +174,10 @@ def delaunay_exchange(
 
     take = open_[to_piece]
     keep = ~open_[old_piece]
-    left = ~(open_ | same)
     result = np.concatenate([cells[keep], used[to_cells[take]].astype(np.int32)])
     labels = np.concatenate([regions[keep], label[to_piece[take]]])
-    stats = ExchangeStats(
-        pieces=n_old, unchanged=int(same.sum()), exchanged=int(open_.sum()),
-        largest_left=int(old_count[left].max(initial=0)), energy_before=before,
-        energy_after=before - float((energy - energy_there)[open_].sum()) * unit, **refused)
-    return result, labels, stats
+    return result, labels, ExchangeStats(
+        pieces=n_old, unchanged=int(same.sum()), exchanged=int(open_.sum()), **refused)
 
 
 def non_delaunay_facets(

@@ -19,7 +19,7 @@ from odt_plugins.engine.odt.delaunay import delaunay_exchange, non_delaunay_face
 from odt_plugins.engine.odt.rounds import Log, exchange
 from odt_plugins.engine.topology.complex import make_complex
 
-REFUSALS = ("missing_facet", "several_regions", "inactive", "hidden_vertex", "flat", "volume",
+REFUSALS = ("missing_facet", "several_regions", "hidden_vertex", "flat", "volume",
             "energy", "guard")
 
 
@@ -77,10 +77,8 @@ def test_delaunay_minimises_the_energy_over_connectivities(dim, seed):
     points, best, other = convex_mesh(dim, seed)
     assert rows(best) != rows(other)
     assert ref.total_energy(points, best) < ref.total_energy(points, other)
-    new, _, stats = delaunay_exchange(points, other, np.zeros(len(other), dtype=np.int32))
+    new, _, _ = delaunay_exchange(points, other, np.zeros(len(other), dtype=np.int32))
     assert ref.total_energy(points, new) == pytest.approx(ref.total_energy(points, best))
-    assert stats.energy_before == pytest.approx(ref.total_energy(points, other), rel=1e-12)
-    assert stats.energy_after == pytest.approx(ref.total_energy(points, best), rel=1e-12)
     rng = np.random.default_rng(seed + 100)
     inside = np.einsum("kj,kjd->kd", rng.dirichlet(np.ones(dim + 1), 300),
                        points[other[rng.integers(len(other), size=300)]])
@@ -137,8 +135,6 @@ def test_domain_regions_and_vertices_stay(seed, dim, kind):
     assert stats.pieces == stats.unchanged + stats.exchanged + sum(
         getattr(stats, name) for name in REFUSALS)
     before, after = ref.total_energy(points, cells), ref.total_energy(points, new)
-    assert stats.energy_before == pytest.approx(before, rel=1e-12)
-    assert stats.energy_after == pytest.approx(after, rel=1e-12)
     assert (after < before) == (stats.exchanged > 0)
     again = delaunay_exchange(points, new, labels)
     assert again[2].exchanged == 0
@@ -252,19 +248,6 @@ def test_vertex_that_qhull_hides_keeps_its_cells(dim, monkeypatch):
 
 
 @pytest.mark.parametrize("dim", [2, 3])
-def test_inactive_cells_stay(dim):
-    points, cells = holed_mesh(dim, 2)
-    regions = regions_of(points, cells, "one")
-    everywhere = delaunay_exchange(points, cells, regions)[2].exchanged
-    active = points[cells].mean(axis=1)[:, 1] > 1.0
-    new, labels, stats = delaunay_exchange(points, cells, regions, active=active)
-    assert 0 < stats.exchanged < everywhere
-    assert stats.inactive > 0
-    assert set(rows(cells[~active])) <= set(rows(new))
-    check_kept(points, cells, regions, new, labels)
-
-
-@pytest.mark.parametrize("dim", [2, 3])
 def test_unused_vertices_stay_unused(dim):
     points, cells = holed_mesh(dim, 5)
     regions = regions_of(points, cells, "one")
@@ -306,7 +289,6 @@ def test_qhull_failure_leaves_the_mesh(monkeypatch, error):
     np.testing.assert_array_equal(new, cells)
     np.testing.assert_array_equal(labels, regions)
     assert stats.failure in ("QH6154 initial simplex is flat", "ValueError")
-    assert stats.energy_after == stats.energy_before > 0
     assert new is not cells
 
 
