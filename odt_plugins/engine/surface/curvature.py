@@ -7,7 +7,6 @@ import numpy as np
 from odt_plugins.engine.cells.elementary import exp, log, power
 from odt_plugins.engine.odt.density import smooth_over_stars
 from odt_plugins.engine.topology.star import star_sum
-from odt_plugins.errors import InvalidOptionError
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.simplex import diagonal
 
@@ -105,7 +104,7 @@ def _unit(vectors: FloatArray) -> FloatArray:
 
 
 def curvature_density(
-    points: FloatArray, triangles: IntArray, neighbors: IntArray, ratio: float = RATIO
+    points: FloatArray, triangles: IntArray, neighbors: IntArray
 ) -> FloatArray:
     """Density that makes triangles small where the surface is curved.
 
@@ -113,31 +112,23 @@ def curvature_density(
     ----------
     points : (n, 3) float64, triangles : (m, 3) int32, neighbors : (m, 3) int32
                                 as for :func:`vertex_curvature`
-    ratio : float               bound of the largest size over the smallest, at least 1
 
     Returns
     -------
     (n,) float64                rho = h^-4, the sizes h with mean 1
-
-    Raises
-    ------
-    InvalidOptionError          a ratio below 1, or none
 
     Notes
     -----
     A chord of length h lies kappa h^2 / 8 below an arc of curvature kappa. The same depth
     everywhere asks for h = kappa^(-1/2), and rho = h^-(d + 2) with d = 2, since ODT equidistributes
     |tau| rho^(d / (d + 2)): the number of triangles per area follows the curvature. kappa is that
-    of :func:`vertex_curvature`, but at least FLAT / diagonal, and within a factor ``ratio`` of its
+    of :func:`vertex_curvature`, but at least FLAT / diagonal, and within a factor RATIO of its
     mean over the surface; log h is averaged SMOOTHING times.
 
     References
     ----------
     CMAME 200 (2011) 967-984, Theorem 2.8.
     """
-    if not 1.0 <= ratio < np.inf:
-        msg = f"got ratio={ratio!r} of the largest size over the smallest; expected 1 or more"
-        raise InvalidOptionError(msg)
     n = len(points)
     if not len(triangles):
         return np.ones(n)
@@ -149,7 +140,7 @@ def curvature_density(
         return np.ones(n)
     kappa = np.maximum(vertex_curvature(points, triangles, neighbors), FLAT / length)
     mean = float((kappa * share).sum() / share.sum())
-    kappa = np.clip(kappa, mean / ratio, mean * ratio)
+    kappa = np.clip(kappa, mean / RATIO, mean * RATIO)
     log_h = smooth_over_stars(-0.5 * log(kappa / mean), triangles, SMOOTHING)
     h = exp(log_h)
     h /= h[used].mean()

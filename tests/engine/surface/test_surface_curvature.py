@@ -9,7 +9,6 @@ from scipy.spatial import ConvexHull
 
 from odt_plugins.engine.ground.reference import make_surface
 from odt_plugins.engine.surface.curvature import RATIO, curvature_density, vertex_curvature
-from odt_plugins.errors import InvalidOptionError
 
 
 def random_sphere(n, radius):
@@ -140,12 +139,3 @@ def test_vertices_of_no_triangle_and_no_triangles():
     assert np.isfinite(with_more[-1])
     none = np.empty((0, 3), dtype=np.int32)
     np.testing.assert_array_equal(curvature_density(points, none, none), 1.0)
-
-
-@pytest.mark.parametrize("ratio", [0.5, 0.0, -2.0, np.nan, np.inf])
-def test_a_ratio_of_sizes_below_one_is_named(ratio):
-    p, t = sm.sphere(1)
-    near = make_surface(p, t).neighbors
-    with pytest.raises(InvalidOptionError, match=r"ratio=.*expected 1 or more"):
-        curvature_density(p, t.astype(np.int32), near, ratio)
-    assert curvature_density(p, t.astype(np.int32), near, 1.0) == pytest.approx(np.ones(len(p)))
