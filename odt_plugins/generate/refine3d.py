@@ -163,8 +163,7 @@ def refined_rows(rows: NDArray[np.integer], edges: LongArray, n: int) -> NDArray
                    "faces of the mesh, try removing the others")
             raise InvalidMeshError(msg)
         nodes = np.concatenate([rows, n + place], axis=1)
-    parts: NDArray[np.int64] = nodes[:, CHILDREN[rows.shape[1]]].reshape(-1, rows.shape[1])
-    return parts
+    return nodes[:, CHILDREN[rows.shape[1]]].reshape(-1, rows.shape[1])
 
 
 def check_size(m: int, dim: int, levels: int) -> int:

@@ -63,7 +63,6 @@ def hmin(*sizes: Size) -> Size:
     """Make the smallest of several sizes."""
 
     def size(p: FloatArray) -> FloatArray:
-        values: FloatArray = np.min([np.asarray(h(p), dtype=float) for h in sizes], axis=0)
-        return values
+        return np.min([np.asarray(h(p), dtype=float) for h in sizes], axis=0)
 
     return size

@@ -98,8 +98,7 @@ def uniform_refine(mesh: MeshT) -> MeshT:
         np.repeat(np.arange(len(t), dtype=np.int32), parts),
         vertices=vertices, split=partial(refined_rows, edges=refined.edges, n=n),
     )
-    out: MeshT = adapter.write(result, host)
-    return out
+    return adapter.write(result, host)
 
 
 def read_linear(mesh: Any) -> tuple[Adapter, HostMesh]:

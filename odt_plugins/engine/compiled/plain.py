@@ -93,8 +93,7 @@ def compiled(kernel: Any, args: tuple[Any, ...]) -> Callable[..., Any]:
             except OSError as error:
                 # The kernel is compiled by then: the disk has no room for it.
                 say(f"compiled kernels cannot be kept: {error}")
-    run: Callable[..., Any] = made
-    return run
+    return made
 
 
 def _on_disk(made: Any, kernel: Any) -> bool:

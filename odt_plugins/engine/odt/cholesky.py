@@ -38,8 +38,7 @@ def factorize(matrix: Any) -> Callable[[FloatArray], FloatArray]:
     def solve(right: FloatArray) -> FloatArray:
         # libigl minimises x A x / 2 + x B.
         absent = np.empty((0, right.shape[1]))
-        solution: FloatArray = igl.min_quad_with_fixed_solve(factors, -right, absent, absent)
-        return solution
+        return igl.min_quad_with_fixed_solve(factors, -right, absent, absent)
 
     return solve
 

@@ -22,8 +22,7 @@ def _facet_circumcenters(points: FloatArray, corners: IntArray) -> FloatArray:
     aa, bb = (a**2).sum(axis=1)[:, None], (b**2).sum(axis=1)[:, None]
     numerator = np.cross(aa * b - bb * a, normal)
     offset = numerator / (2.0 * (normal**2).sum(axis=1)[:, None])
-    centers: FloatArray = points[corners[:, 0]] + offset
-    return centers
+    return points[corners[:, 0]] + offset
 
 
 def _determinants(rows: FloatArray) -> FloatArray:
@@ -31,8 +30,7 @@ def _determinants(rows: FloatArray) -> FloatArray:
     a, b = rows[:, 0], rows[:, 1]
     if rows.shape[1] == 2:
         return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
-    values: FloatArray = np.einsum("mi,mi->m", np.cross(a, b), rows[:, 2])
-    return values
+    return np.einsum("mi,mi->m", np.cross(a, b), rows[:, 2])
 
 
 def dual_cells(

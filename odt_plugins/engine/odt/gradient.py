@@ -44,8 +44,7 @@ def centers_gradient(
     d = cells.shape[1] - 1
     weights = rho * signed_volumes(points, cells)
     pull = weights[:, None, None] * (points[cells] - centers[:, None, :])
-    gradient: FloatArray = corner_sums(pull, cells, len(points)) * (2.0 / (d + 1))
-    return gradient
+    return corner_sums(pull, cells, len(points)) * (2.0 / (d + 1))
 
 
 def gradient(points: FloatArray, cells: IntArray, rho: CellDensity = 1.0) -> FloatArray:
@@ -102,5 +101,4 @@ def hessian_diagonal(points: FloatArray, cells: IntArray, rho: CellDensity = 1.0
     """
     d = cells.shape[1] - 1
     stars = star_sum(rho * signed_volumes(points, cells), cells, len(points))
-    diagonal: FloatArray = stars * (2.0 / (d + 1))
-    return diagonal
+    return stars * (2.0 / (d + 1))

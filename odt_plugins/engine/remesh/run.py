@@ -381,8 +381,7 @@ def _of_small_regions(mesh: SimplexMesh, outcome: Outcome) -> BoolArray:
 def _crossed(outcome: SimplexMesh | Outcome) -> IntArray:
     """Triangles (k, 3) of the boundary that cut others."""
     facets = boundary_facets(outcome.cells)
-    crossed: IntArray = facets[crossing_triangles(outcome.points, facets)]
-    return crossed
+    return facets[crossing_triangles(outcome.points, facets)]
 
 
 def _near(

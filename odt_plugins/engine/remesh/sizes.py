@@ -180,8 +180,7 @@ def unique_edges(cells: IntArray) -> IntArray:
                           for one, two in combinations(cells.T, 2)])
     key.sort()
     key = key[np.append(True, key[1:] != key[:-1])]
-    edges: IntArray = np.column_stack([key // n, key % n]).astype(np.int32)
-    return edges
+    return np.column_stack([key // n, key % n]).astype(np.int32)
 
 
 def lengths_of(
@@ -192,8 +191,7 @@ def lengths_of(
     if metric is not None and len(metric):
         points, pairs = as_seen(points, edges, metric)
     step = points[pairs[:, 1]] - points[pairs[:, 0]]
-    out: FloatArray = np.sqrt((step * step).sum(axis=1))
-    return out
+    return np.sqrt((step * step).sum(axis=1))
 
 
 def local_sizes(mesh: SimplexMesh) -> FloatArray:

@@ -191,8 +191,7 @@ def _regions_of(found: Heights, cells: IntArray, own: LongArray, n: int) -> Long
     """Number of the region that each of these vertices lies in."""
     region = np.zeros(n, dtype=np.intp)
     region[cells] = own[:, None]
-    at: LongArray = region[found.vertices]
-    return at
+    return region[found.vertices]
 
 
 def _restored(

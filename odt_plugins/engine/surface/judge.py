@@ -176,8 +176,7 @@ def values_on(
 ) -> FloatArray:
     """Values (n,) at the vertices of a surface, at its places closest to points x (k, 3)."""
     face, weights = feet_on(points, triangles, x)
-    found: FloatArray = (values[triangles[face]] * weights).sum(axis=1)
-    return found
+    return (values[triangles[face]] * weights).sum(axis=1)
 
 
 def barycentric(points: FloatArray, triangles: IntArray, x: FloatArray) -> FloatArray:

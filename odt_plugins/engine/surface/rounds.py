@@ -225,8 +225,7 @@ def _tangential(vectors: FloatArray, points: FloatArray, triangles: IntArray) ->
     square = (normal * normal).sum(axis=1)
     up = np.divide((vectors * normal).sum(axis=1), square, out=np.zeros(len(points)),
                    where=square > 0.0)
-    tangential: FloatArray = vectors - up[:, None] * normal
-    return tangential
+    return vectors - up[:, None] * normal
 
 
 def _flip(surface: Surface, options: Options, bounds: Extremes, log: Log) -> None:

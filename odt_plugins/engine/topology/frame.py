@@ -51,15 +51,13 @@ class Frame:
 
     def outside(self, points: FloatArray) -> FloatArray:
         """Caller's coordinates of inner points."""
-        moved: FloatArray = points / self.scale + self.centre
-        return moved
+        return points / self.scale + self.centre
 
     def inner_neighbors(self, neighbors: IntArray) -> IntArray:
         """Cells across the facets of inner cells from those of the caller's, (m, d + 1) int32."""
         rank = np.full(len(neighbors) + 1, -1, dtype=np.int32)
         rank[self.active] = np.arange(len(self.active), dtype=np.int32)
-        inner: IntArray = rank[np.take(neighbors, self.active, axis=0)]
-        return inner
+        return rank[np.take(neighbors, self.active, axis=0)]
 
 
 def make_frame(mesh: SimplexMesh) -> tuple[Frame, IntArray]:

@@ -37,8 +37,7 @@ class Topology:
     @cached_property
     def boundary_cells(self) -> BoolArray:
         """Cells with at least one boundary vertex (isBdElem of Section 4.2.1), (m,)."""
-        mask: BoolArray = np.any(self.is_boundary[self.cells], axis=1)
-        return mask
+        return np.any(self.is_boundary[self.cells], axis=1)
 
     @cached_property
     def coloring(self) -> Coloring:

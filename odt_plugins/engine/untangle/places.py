@@ -180,8 +180,7 @@ def untangled_places(
 
 def bad_cells(points: FloatArray, cells: IntArray) -> BoolArray:
     """Mark the cells (m,) that are inverted or flat."""
-    bad: BoolArray = cell_signs(points, cells)[0] <= 0
-    return bad
+    return cell_signs(points, cells)[0] <= 0
 
 
 def _around(cells: IntArray, which: BoolArray, rings: int, n: int) -> BoolArray:
