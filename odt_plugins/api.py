@@ -11,12 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, Unpack, overload
 
 import numpy as np
 
-from odt_plugins.adapters.files import (
-    check_output,
-    expect_same_kind,
-    read_file,
-    write_file,
-)
+from odt_plugins.adapters.files import check_output, expect_same_kind, read_file, write_file
 from odt_plugins.adapters.host import words_of
 from odt_plugins.adapters.registry import find_adapter
 from odt_plugins.errors import InvalidOptionError, UnsupportedMeshError

@@ -11,14 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from odt_plugins.objectives import Objective
-from odt_plugins.options import (
-    OPTIONS,
-    Boundary,
-    Fields,
-    Method,
-    Progress,
-    Repair,
-)
+from odt_plugins.options import OPTIONS, Boundary, Fields, Method, Progress, Repair
 
 FunctionT = TypeVar("FunctionT", bound=Callable[..., Any])
 

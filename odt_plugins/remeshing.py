@@ -15,14 +15,7 @@ from odt_plugins.mesh.bodies import of_bodies
 from odt_plugins.mesh.facets import directed_facets
 from odt_plugins.mesh.simplex import SimplexMesh, freeze
 from odt_plugins.multiblock import has_parts, run_parts
-from odt_plugins.options import (
-    NOT_SIZED,
-    OPTIONS,
-    STAYS_SIZED,
-    Options,
-    expect_known,
-    make_options,
-)
+from odt_plugins.options import NOT_SIZED, OPTIONS, STAYS_SIZED, Options, expect_known, make_options
 from odt_plugins.roundtrip import run_engine
 from odt_plugins.untangling import Wanted
 

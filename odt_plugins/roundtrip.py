@@ -37,11 +37,7 @@ from odt_plugins.aside import note, of_cells, seen, with_others, without_others
 from odt_plugins.bending import leaving_bent, middles, note_on_flatter, with_bent
 from odt_plugins.carry import cell_origin, in_input_order, surrounding_cells
 from odt_plugins.curved import Kept, keep_curved, untangled_around
-from odt_plugins.errors import (
-    InvalidMeshError,
-    TangledMeshError,
-    warn,
-)
+from odt_plugins.errors import InvalidMeshError, TangledMeshError, warn
 from odt_plugins.following import (
     CONSERVE,
     Prepared,
@@ -56,20 +52,9 @@ from odt_plugins.following import (
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.bodies import of_bodies
 from odt_plugins.mesh.layers import keep_layers
-from odt_plugins.mesh.numbering import (
-    in_old_numbers,
-    most_vertices,
-    new_numbers,
-    old_numbers,
-)
+from odt_plugins.mesh.numbering import in_old_numbers, most_vertices, new_numbers, old_numbers
 from odt_plugins.mesh.plane import PlaneFrame, plane_frame
-from odt_plugins.mesh.simplex import (
-    SimplexMesh,
-    compact_labels,
-    mesh_arrays,
-    reverse,
-    simplex_mesh,
-)
+from odt_plugins.mesh.simplex import SimplexMesh, compact_labels, mesh_arrays, reverse, simplex_mesh
 from odt_plugins.mesh.soup import at_copies, same_places
 from odt_plugins.mesh.surface import surface_mesh
 from odt_plugins.mesh.tangled import tangled_mesh

@@ -12,14 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from odt_plugins.adapters.colours import varies
 from odt_plugins.adapters.host import HostMesh, NewVertices
 from odt_plugins.errors import InvalidOptionError, UnsupportedMeshError
-from odt_plugins.following import (
-    CONSERVE,
-    Prepared,
-    around,
-    follow,
-    interpolates,
-    new_vertices,
-)
+from odt_plugins.following import CONSERVE, Prepared, around, follow, interpolates, new_vertices
 from odt_plugins.options import Options
 
 if TYPE_CHECKING:

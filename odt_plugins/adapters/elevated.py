@@ -15,14 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.adapters.higher_order import shape_values
-from odt_plugins.adapters.host import (
-    HostMesh,
-    KeptCells,
-    NewFaces,
-    NewVertices,
-    Result,
-    as_indices,
-)
+from odt_plugins.adapters.host import HostMesh, KeptCells, NewFaces, NewVertices, Result, as_indices
 from odt_plugins.adapters.point_sets import depths
 from odt_plugins.errors import UnsupportedMeshError
 from odt_plugins.mesh.bernstein import jacobian_bounds

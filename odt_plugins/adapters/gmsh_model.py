@@ -38,20 +38,8 @@ from odt_plugins.adapters.gmsh_parts import (
     kinds_of,
     parts_of,
 )
-from odt_plugins.adapters.higher_order import (
-    HigherOrder,
-    check_mid_nodes,
-    lattice,
-    with_mid_nodes,
-)
-from odt_plugins.adapters.host import (
-    Geometry,
-    HostMesh,
-    KeptCells,
-    Result,
-    each_once,
-    middles,
-)
+from odt_plugins.adapters.higher_order import HigherOrder, check_mid_nodes, lattice, with_mid_nodes
+from odt_plugins.adapters.host import Geometry, HostMesh, KeptCells, Result, each_once, middles
 from odt_plugins.adapters.regions import AUTO, region_labels
 from odt_plugins.errors import UnsupportedMeshError
 from odt_plugins.mesh.faces import Faces, labels_at

@@ -16,12 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.adapters.host import Result
-from odt_plugins.adapters.pymeshlab_copy import (
-    custom_attributes,
-    muted,
-    textures,
-    without_pictures,
-)
+from odt_plugins.adapters.pymeshlab_copy import custom_attributes, muted, textures, without_pictures
 from odt_plugins.adapters.pymeshlab_ply import FACE_SCALAR
 from odt_plugins.adapters.wedges import carried, slid
 from odt_plugins.errors import DataNotKeptWarning, warn

@@ -18,11 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters.higher_order import (
-    check_mid_nodes,
-    lattice,
-    with_mid_nodes,
-)
+from odt_plugins.adapters.higher_order import check_mid_nodes, lattice, with_mid_nodes
 from odt_plugins.adapters.host import HostMesh, KeptCells, NewFaces, Result, is_instance
 from odt_plugins.adapters.regions import AUTO, Labels, region_labels
 from odt_plugins.errors import UnsupportedMeshError

@@ -12,14 +12,7 @@ from click.core import ParameterSource
 
 from odt_plugins.cli.terminal import ShareOption
 from odt_plugins.options import EDGE_LENGTH as DEFAULT_EDGE_LENGTH
-from odt_plugins.options import (
-    FIGURES,
-    OPTIONS,
-    STAYS,
-    STAYS_SIZED,
-    Options,
-    hint_for,
-)
+from odt_plugins.options import FIGURES, OPTIONS, STAYS, STAYS_SIZED, Options, hint_for
 from odt_plugins.words import smoothing_of
 
 REPORT_FLAG = click.option(

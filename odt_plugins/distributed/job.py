@@ -17,12 +17,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from odt_plugins.errors import (
-    CrashError,
-    NotFilledWarning,
-    ODTError,
-    ODTWarning,
-)
+from odt_plugins.errors import CrashError, NotFilledWarning, ODTError, ODTWarning
 from odt_plugins.processes import ENDED, end_own_group, limit_memory
 from odt_plugins.progress import compiling_heard
 

@@ -6,12 +6,7 @@ import numpy as np
 
 from odt_plugins.engine.cells.elementary import log
 from odt_plugins.engine.cells.geometry import signed_volumes
-from odt_plugins.engine.cells.tensors import (
-    ROUNDED,
-    eigenvalues,
-    exponential,
-    of_eigenvalues,
-)
+from odt_plugins.engine.cells.tensors import ROUNDED, eigenvalues, exponential, of_eigenvalues
 from odt_plugins.engine.topology.star import star_sum
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.layers import edge_products

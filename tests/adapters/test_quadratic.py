@@ -9,16 +9,7 @@ import contract
 import meshio
 import numpy as np
 import pytest
-from quadratic_meshes import (
-    EDGES,
-    MAKERS,
-    MESHIO,
-    WITH_DATA,
-    churned,
-    edges_of,
-    view,
-    widened,
-)
+from quadratic_meshes import EDGES, MAKERS, MESHIO, WITH_DATA, churned, edges_of, view, widened
 
 import odt_plugins
 from odt_plugins.adapters import files
@@ -30,11 +21,7 @@ from odt_plugins.adapters.higher_order import (
 )
 from odt_plugins.adapters.host import Result
 from odt_plugins.engine.run import plan
-from odt_plugins.errors import (
-    DataNotKeptWarning,
-    InvalidMeshError,
-    UnsupportedMeshError,
-)
+from odt_plugins.errors import DataNotKeptWarning, InvalidMeshError, UnsupportedMeshError
 
 
 def quadratic_grid(dim, n=4, shuffle=True):

@@ -24,12 +24,7 @@ from odt_plugins.cli.main import main
 from odt_plugins.compare import contestants as table
 from odt_plugins.compare.baselines import netgen_optimize
 from odt_plugins.compare.contestants import CONTESTANTS, KINDS, OURS, TOOLS, Contestant, choose
-from odt_plugins.compare.hull import (
-    BoundaryChange,
-    compare_boundaries,
-    held_vertices,
-    hull_facets,
-)
+from odt_plugins.compare.hull import BoundaryChange, compare_boundaries, held_vertices, hull_facets
 from odt_plugins.compare.manuscript import to_markdown
 from odt_plugins.compare.output import FILES, to_csv, to_json
 from odt_plugins.compare.poisson import conjugate_gradients, solve_poisson

@@ -18,11 +18,7 @@ from odt_plugins.adapters.formats.abaqus_tables import (
     is_shell,
     type_of,
 )
-from odt_plugins.adapters.formats.decks import (
-    FACES,
-    fits,
-    order_of,
-)
+from odt_plugins.adapters.formats.decks import FACES, fits, order_of
 from odt_plugins.adapters.formats.titles import decoded
 from odt_plugins.errors import MeshFileError
 

@@ -9,15 +9,7 @@ from typing import Any
 import numpy as np
 
 from odt_plugins.adapters.formats.change import Change, NotRewritable
-from odt_plugins.adapters.formats.decks import (
-    Edit,
-    Names,
-    deck_of,
-    edited,
-    faces_of,
-    indices,
-    real,
-)
+from odt_plugins.adapters.formats.decks import Edit, Names, deck_of, edited, faces_of, indices, real
 from odt_plugins.adapters.formats.nastran import (
     Block,
     Card,

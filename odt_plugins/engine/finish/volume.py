@@ -12,14 +12,7 @@ from functools import partial
 
 import numpy as np
 
-from odt_plugins.engine.cells.extremes import (
-    FREELY,
-    Bounds,
-    Extremes,
-    better,
-    part_of,
-    together,
-)
+from odt_plugins.engine.cells.extremes import FREELY, Bounds, Extremes, better, part_of, together
 from odt_plugins.engine.cells.measures import NO_CELL, QUALITY
 from odt_plugins.engine.compiled.threads import run_ranges
 from odt_plugins.engine.finish.descent import finish_phase
@@ -30,12 +23,7 @@ from odt_plugins.engine.moves.passes import flip_pending, grow, measures
 from odt_plugins.engine.moves.reconnection import reconnection_pass
 from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.record.figures import cell_shapes, tet_extremes
-from odt_plugins.engine.topology.active import (
-    DONE,
-    PENDING,
-    around_vertices,
-    vertices_of_pending,
-)
+from odt_plugins.engine.topology.active import DONE, PENDING, around_vertices, vertices_of_pending
 from odt_plugins.engine.topology.coloring import run_chunks, touching_blocks, vertex_coloring
 from odt_plugins.engine.topology.complex import Complex, slot_stars
 from odt_plugins.engine.topology.slabs import Work, side_by_side

@@ -9,13 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from odt_plugins.engine.policy import POLICY
-from odt_plugins.engine.record.figures import (
-    EXTREMES,
-    ROUNDING,
-    Figures,
-    cell_shapes,
-    figures,
-)
+from odt_plugins.engine.record.figures import EXTREMES, ROUNDING, Figures, cell_shapes, figures
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.mesh.chunks import Pool
 from odt_plugins.objectives import Objective

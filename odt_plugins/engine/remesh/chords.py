@@ -7,12 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from odt_plugins.engine.ground.features import (
-    Features,
-    find_features,
-    label_borders,
-    marked_edges,
-)
+from odt_plugins.engine.ground.features import Features, find_features, label_borders, marked_edges
 from odt_plugins.engine.ground.sheet import LINE
 from odt_plugins.engine.remesh.lay_out import surface_of
 from odt_plugins.engine.remesh.resolve import resolved

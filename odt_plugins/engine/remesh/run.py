@@ -24,12 +24,7 @@ from odt_plugins.engine.remesh.finish import MORE, Resized, Room, finished, sums
 from odt_plugins.engine.remesh.lay_out import lay_out
 from odt_plugins.engine.remesh.notes import told_of_edges
 from odt_plugins.engine.remesh.onto import on_smooth
-from odt_plugins.engine.remesh.sizes import (
-    Sizes,
-    expected_cells,
-    factor_for,
-    local_sizes,
-)
+from odt_plugins.engine.remesh.sizes import Sizes, expected_cells, factor_for, local_sizes
 from odt_plugins.engine.remesh.volume import Resizing, arrays_of, resize
 from odt_plugins.engine.remesh.whole import beside_whole, holds
 from odt_plugins.engine.remesh.wish import Wish
@@ -39,12 +34,7 @@ from odt_plugins.engine.run.outcome import Leaving, Outcome, as_it_is, unchanged
 from odt_plugins.engine.run.work import extremes, make_start
 from odt_plugins.errors import counted
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
-from odt_plugins.mesh.faces import (
-    Faces,
-    joined,
-    renumbered,
-    without,
-)
+from odt_plugins.mesh.faces import Faces, joined, renumbered, without
 from odt_plugins.mesh.numbering import new_numbers
 from odt_plugins.mesh.seen import as_seen
 from odt_plugins.mesh.simplex import SimplexMesh, diagonal, freeze

@@ -23,15 +23,7 @@ from odt_plugins.engine.odt.rounds import Log
 from odt_plugins.engine.odt.total_energy import total_energy
 from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.surface.density import SurfaceDensity
-from odt_plugins.engine.surface.odt import (
-    CPT,
-    GIVEN,
-    LAPLACIAN,
-    NOWHERE,
-    ODT,
-    Target,
-    star_centres,
-)
+from odt_plugins.engine.surface.odt import CPT, GIVEN, LAPLACIAN, NOWHERE, ODT, Target, star_centres
 from odt_plugins.engine.surface.passes import Surface, flip_all, move_all
 from odt_plugins.engine.topology.star import star_sum
 from odt_plugins.engine.topology.stencil import make_topology

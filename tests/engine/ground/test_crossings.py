@@ -8,11 +8,7 @@ from crossings import crossing_pairs, cut
 from hypothesis import given
 from hypothesis import strategies as st
 
-from odt_plugins.engine.ground.crossings import (
-    count_crossings,
-    crossed_facets,
-    crossing_triangles,
-)
+from odt_plugins.engine.ground.crossings import count_crossings, crossed_facets, crossing_triangles
 from odt_plugins.mesh.exact import exact_sign, whole_numbers
 
 FLAT = np.array([[-1.0, -1, 0], [1, -1, 0], [0, 1, 0]])

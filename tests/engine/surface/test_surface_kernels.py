@@ -22,15 +22,7 @@ from odt_plugins.engine.ground.sheet import LOCKED, Guards, Limits, claim, make_
 from odt_plugins.engine.ground.trace import End, edge_is_near
 from odt_plugins.engine.sliding.flips import sheet_triangle
 from odt_plugins.engine.surface import passes
-from odt_plugins.engine.surface.odt import (
-    CPT,
-    GIVEN,
-    LAPLACIAN,
-    NOWHERE,
-    ODT,
-    Target,
-    star_centre,
-)
+from odt_plugins.engine.surface.odt import CPT, GIVEN, LAPLACIAN, NOWHERE, ODT, Target, star_centre
 from odt_plugins.engine.surface.passes import Surface, SurfaceDescent, flip_all
 from odt_plugins.engine.surface.rounds import surface_energy
 from odt_plugins.engine.topology.star import vertex_stars
