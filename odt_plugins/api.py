@@ -145,8 +145,7 @@ def _optimized(mesh: Any, how: dict[str, Any], *, tell: bool) -> tuple[Any, Any]
     engine = _engine(chosen, run)
     if has_parts(mesh):
         where = {name: run[name] for name in PLACE}
-        whole, reports = run_parts(
-            mesh, options, functools.partial(optimize_with_report, **where))
+        whole, reports = run_parts(mesh, options, functools.partial(optimize_with_report, **where))
         return whole, report_of_parts(reports)
     result, before, outcome, told = run_engine(mesh, chosen, engine)
     return result, make_report(before, outcome, chosen, **told) if tell else None

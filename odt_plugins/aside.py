@@ -48,9 +48,7 @@ def seen(host: HostMesh, points: FloatArray) -> Indices | None:
     return np.setdiff1d(np.arange(len(rows)), aside)
 
 
-def without_others(
-    host: HostMesh, options: Options, cells: Indices
-) -> tuple[HostMesh, Options]:
+def without_others(host: HostMesh, options: Options, cells: Indices) -> tuple[HostMesh, Options]:
     """The mesh of some cells alone, and the options for it: vertices of the others are fixed."""
     m = len(host.cells)
     other = np.setdiff1d(np.arange(m), cells)

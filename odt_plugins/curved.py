@@ -220,9 +220,7 @@ def untangled_around(
     return after, tangle._replace(before=mesh, after=after)
 
 
-def _all_measured(
-    host: HostMesh, outcome: Outcome, orientation: int, source: IntArray
-) -> Curved:
+def _all_measured(host: HostMesh, outcome: Outcome, orientation: int, source: IntArray) -> Curved:
     """The cells of an outcome of an untangled mesh, whose cells have a source in the caller's."""
     q = placed(host, replace(outcome, source=source[outcome.source]), orientation)
     return measured(q.points, q.cells, q.shape)

@@ -122,8 +122,7 @@ def interpolated(work: Prepared, options: Options) -> tuple[str, ...]:
 def interpolates(work: Prepared, options: Options) -> bool:
     """Whether vertices that moved have the values that fields have at their new places."""
     by_default = work.host.follows and not work.mesh.is_surface
-    return options.fields in ("interpolate", CONSERVE) or (
-        options.fields == "auto" and by_default)
+    return options.fields in ("interpolate", CONSERVE) or (options.fields == "auto" and by_default)
 
 
 def around(
@@ -197,9 +196,7 @@ def new_vertices(
                        depths=(depths(before.points, before.cells, before.regions), now[placed]))
 
 
-def new_faces(
-    work: Prepared, given: HostMesh, outcome: Outcome
-) -> tuple[NewFaces | None, ...]:
+def new_faces(work: Prepared, given: HostMesh, outcome: Outcome) -> tuple[NewFaces | None, ...]:
     """What the lines and triangles beside the cells have become; nothing where all stayed."""
     from scipy.spatial import cKDTree
 

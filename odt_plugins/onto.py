@@ -82,9 +82,7 @@ def came_or_moved(before: FloatArray, outcome: Outcome) -> BoolArray:
     return ~stays
 
 
-def in_space(
-    work: Prepared, outcome: Outcome, moved: BoolArray, *, onto: bool
-) -> NDArray[Any]:
+def in_space(work: Prepared, outcome: Outcome, moved: BoolArray, *, onto: bool) -> NDArray[Any]:
     """Places (k, D) of vertices that moved or came, as the caller sees them.
 
     Parameters

@@ -309,9 +309,7 @@ def _checked(
         return Prepared(adapter, host, None, surface, 1, notes=notes)
     tangled = False
     try:
-        simplices, orientation = simplex_mesh(
-            points, host.cells, **given, threads=options.threads
-        )
+        simplices, orientation = simplex_mesh(points, host.cells, **given, threads=options.threads)
     except TangledMeshError:
         if options.repair == "none":
             raise
@@ -443,9 +441,7 @@ def _of_mesh(options: Options, tangle: Tangle | None) -> Options:
     return replace(options, density=values[tangle.source])
 
 
-def _as_it_leaves(
-    work: Prepared, threads: int, outcome: Outcome, *, onto: bool = False
-) -> Outcome:
+def _as_it_leaves(work: Prepared, threads: int, outcome: Outcome, *, onto: bool = False) -> Outcome:
     """The outcome with the points that the caller will read, and cells in the order of the input's.
 
     A vertex that did not move keeps the caller's coordinates bit for bit; others are put `onto` the

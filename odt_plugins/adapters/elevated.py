@@ -125,8 +125,7 @@ def elevated(
     order = np.argsort(known)
     stays = np.isin(key[first], known)
     node = np.full(len(ends), -1, dtype=np.int64)
-    node[stays] = old.node[alive][order][
-        np.searchsorted(known[order], key[first][stays])]
+    node[stays] = old.node[alive][order][np.searchsorted(known[order], key[first][stays])]
 
     there = np.ones(len(points), dtype=np.bool_)
     gone = np.setdiff1d(old.node, np.concatenate([node[stays], _alone(host)]))

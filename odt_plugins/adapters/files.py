@@ -446,9 +446,7 @@ def _source(path: Path, mesh: Any) -> Origin | None:
     return origin if same else None
 
 
-def _rewritten(
-    path: Path, mesh: Any, origin: Origin | None
-) -> tuple[list[str] | None, list[str]]:
+def _rewritten(path: Path, mesh: Any, origin: Origin | None) -> tuple[list[str] | None, list[str]]:
     """Write a mesh into a copy of the file it was read from: what is lost, None of none written."""
     if origin is None:
         return None, []
@@ -489,9 +487,7 @@ def _write_heard(path: Path, mesh: Any, name: str, binary: bool | None) -> list[
         _widen(mesh)
     # Flat triangles of STL files have no normals. Some writers print numbers as they are written
     # in Python.
-    with (
-        reading.remarks() as said, np.errstate(all="ignore"), np.printoptions(**PLAIN),
-    ):
+    with reading.remarks() as said, np.errstate(all="ignore"), np.printoptions(**PLAIN):
         if name == "gmsh":
             gmsh_files.write(path, mesh, binary is not False)
             gmsh_files.restore_names(path, mesh.field_data)

@@ -410,9 +410,7 @@ def _coupled(
     return np.unique(np.concatenate(nodes)) if nodes else None
 
 
-def _expect_links_kept(
-    model: Any, old: dict[Entity, Part], new: dict[Entity, Part]
-) -> None:
+def _expect_links_kept(model: Any, old: dict[Entity, Part], new: dict[Entity, Part]) -> None:
     """Refuse a result in which nodes of periodic curves or surfaces are elsewhere."""
     for dim, tag, master in _links(model, old):
         for one in (tag, master):

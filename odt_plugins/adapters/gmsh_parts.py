@@ -29,8 +29,7 @@ class Kind(NamedTuple):
     def is_simplex(self) -> bool:
         """Whether these are points, lines, triangles or tetrahedra with all their nodes."""
         full = self.corners == self.dim + 1
-        return full and (self.dim == 0
-                         or self.nodes == len(lattice(self.dim, self.order, "gmsh")))
+        return full and (self.dim == 0 or self.nodes == len(lattice(self.dim, self.order, "gmsh")))
 
 
 class Elements(NamedTuple):

@@ -233,9 +233,7 @@ class NewVertices(NamedTuple):
         """Whether vertices came or went."""
         return not np.array_equal(self.origin, np.arange(len(self.number)))
 
-    def carried(
-        self, values: NDArray[Any], name: str = "", *, field: bool = True
-    ) -> NDArray[Any]:
+    def carried(self, values: NDArray[Any], name: str = "", *, field: bool = True) -> NDArray[Any]:
         """Point data (n, ...) of the input for the vertices of the result, (n', ...).
 
         A vertex that is still there keeps its value, unless it moved and the values are those of a

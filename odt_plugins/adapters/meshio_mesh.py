@@ -132,8 +132,7 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
     chosen = [i for i, block in enumerate(mesh.cells) if block.type == kind]
     sizes = [len(block.data) for block in mesh.cells]
     size = [sizes[i] for i in chosen]
-    arrays = {name: _joined(name, values, mesh, chosen)
-              for name, values in mesh.cell_data.items()}
+    arrays = {name: _joined(name, values, mesh, chosen) for name, values in mesh.cell_data.items()}
     sets = _memberships(mesh, chosen, size)
     order = 1 if shape is None else int(shape[0, 0])
     kept = tuple(part for i in _others(mesh, chosen) for part in _kept(mesh, i, order))
@@ -144,8 +143,7 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
     if alone:
         kept = (*kept, KeptCells(CELL_VERTEX, _rows(alone).reshape(-1, 1)))
     if len(getattr(mesh, HELD, ())):
-        kept = (*kept, KeptCells(NAMED_VERTEX,
-                                 np.asarray(getattr(mesh, HELD)).reshape(-1, 1)))
+        kept = (*kept, KeptCells(NAMED_VERTEX, np.asarray(getattr(mesh, HELD)).reshape(-1, 1)))
     rows = nodes = _rows([np.asarray(mesh.cells[i].data) for i in chosen])
     if shape is not None:
         check_mid_nodes(nodes, len(mesh.points), shape)
@@ -267,8 +265,7 @@ def _follow_links(out: Any, host: HostMesh, nodes: NDArray[np.integer] | None) -
         number[:] = -1
         number[nodes[nodes >= 0]] = np.flatnonzero(nodes >= 0)
     if out.gmsh_periodic:
-        out.gmsh_periodic = with_links(
-            out.gmsh_periodic, number, host.points, out.points) or None
+        out.gmsh_periodic = with_links(out.gmsh_periodic, number, host.points, out.points) or None
     if getattr(out, "identified", None) is not None:
         out.identified = np.unique(number[out.identified])
         out.identified = out.identified[out.identified >= 0]
@@ -369,8 +366,7 @@ def _renumber(
             block.data = as_indices(vertices.number[block.data], block.data)
     entities = out.cell_data.get(CELL_ENTITIES)
     for name, values in out.point_data.items():
-        out.point_data[name] = vertices.carried(
-            np.asarray(values), name, field=name in host.fields)
+        out.point_data[name] = vertices.carried(np.asarray(values), name, field=name in host.fields)
         if name == NODE_ENTITIES and entities is not None:
             of_cells = np.concatenate([entities[i] for i in host.layout])[result.source]
             fresh = vertices.origin < 0

@@ -223,9 +223,7 @@ def _geometry(
     return Geometry(closest, sag, on, np.unique(edges[0]), faces[1])
 
 
-def _put_on(
-    mesh: Any, face: NDArray[np.int64], places: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _put_on(mesh: Any, face: NDArray[np.int64], places: NDArray[np.float64]) -> NDArray[np.float64]:
     """Places (k, 3) nearest to given ones on the faces (k,) of the geometry, from 1 on.
 
     Netgen projects the corners of surface elements that are added to a mesh.
@@ -380,9 +378,7 @@ def _followed(
     return NewFaces(np.concatenate([now.rows for now in new])[order], source[order])
 
 
-def _add_elements(
-    mesh: Any, dim: int, rows: IntArray, labels: IntArray, **options: Any
-) -> None:
+def _add_elements(mesh: Any, dim: int, rows: IntArray, labels: IntArray, **options: Any) -> None:
     """Add elements of points (k, dim + 1), from 1 on, with labels (k,), in their order."""
     ends = np.flatnonzero(np.diff(labels)) + 1
     for part in np.split(np.arange(len(rows)), ends) if len(rows) else ():
@@ -390,9 +386,7 @@ def _add_elements(
                          data=np.ascontiguousarray(rows[part], dtype=np.int32), base=1, **options)
 
 
-def _exchange_faces(
-    mesh: Any, rows: IntArray, labels: IntArray, source: NDArray[Any]
-) -> None:
+def _exchange_faces(mesh: Any, rows: IntArray, labels: IntArray, source: NDArray[Any]) -> None:
     """Let the surface elements be others, each with the mark for refinement of one of before."""
     old = len(mesh.Elements2D())
     marks = np.array(_elements(mesh, 2)["refine"])

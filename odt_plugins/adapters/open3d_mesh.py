@@ -182,8 +182,7 @@ def _write_triangles(out: Any, result: Result, host: HostMesh) -> Any:
         uv = carried(host.layout, host.cells, result)
         out.triangle_uvs = Vector2dVector(uv.reshape(-1, 2))
     if mesh.has_triangle_material_ids():
-        out.triangle_material_ids = IntVector(
-            np.array(mesh.triangle_material_ids)[result.source])
+        out.triangle_material_ids = IntVector(np.array(mesh.triangle_material_ids)[result.source])
     if host.fields and result.vertices is not None:
         out.vertex_colors = Vector3dVector(
             result.vertices.carried(np.array(mesh.vertex_colors), "vertex_colors"))

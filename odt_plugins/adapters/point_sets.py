@@ -172,9 +172,7 @@ def _around(
     return row // near.shape[1], order[place] // walls.shape[1]
 
 
-def _distances(
-    points: NDArray[np.float64], corners: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _distances(points: NDArray[np.float64], corners: NDArray[np.float64]) -> NDArray[np.float64]:
     """Distances (k,) of points (k, D) from lines or triangles (k, r, D)."""
     out = np.full(len(points), np.inf)
     for i, j in combinations(range(corners.shape[1]), 2):
@@ -193,9 +191,7 @@ def _distances(
     return np.asarray(np.sqrt(out))
 
 
-def _shortest(
-    points: NDArray[np.float64], cells: NDArray[np.integer]
-) -> NDArray[np.float64]:
+def _shortest(points: NDArray[np.float64], cells: NDArray[np.integer]) -> NDArray[np.float64]:
     """Length (n,) of the shortest line to another point of its cells, at every point."""
     out = np.full(len(points), np.inf)
     for i, j in combinations(range(cells.shape[1]), 2):
@@ -213,18 +209,14 @@ def _filled(rows: NDArray[np.integer], members: NDArray[np.integer], n: int) -> 
     return bool(2 * corner[members].sum() > len(members))
 
 
-def _facets(
-    cells: NDArray[np.integer], shape: NDArray[np.int64] | None
-) -> NDArray[np.int64]:
+def _facets(cells: NDArray[np.integer], shape: NDArray[np.int64] | None) -> NDArray[np.int64]:
     """Facets of cells (m, k) with all their nodes, corners first, those of every side together."""
     weights = np.eye(cells.shape[1], dtype=np.int64) if shape is None else shape
     return np.concatenate([cells[:, weights[:, i] == 0] for i in range(weights.shape[1])]).astype(
         np.int64)
 
 
-def _keys(
-    facets: NDArray[np.int64], n: int, shape: NDArray[np.int64] | None
-) -> NDArray[np.int64]:
+def _keys(facets: NDArray[np.int64], n: int, shape: NDArray[np.int64] | None) -> NDArray[np.int64]:
     """Numbers of facets, equal where the corners are."""
     corners = facets.shape[1] if shape is None else shape.shape[1] - 1
     return row_keys(np.sort(facets[:, :corners], axis=1), n)

@@ -132,8 +132,7 @@ def set_faces(meshes: Any, result: Result) -> None:
     if colours is not None:
         told[:, 0], told[:, 1, 0] = np.rint(255.0 * colours[:, :3]), np.rint(255.0 * colours[:, 3])
         tell(told)
-        meshes.apply_filter(
-            "compute_color_by_function_per_face", r="x0", g="y0", b="z0", a="x1")
+        meshes.apply_filter("compute_color_by_function_per_face", r="x0", g="y0", b="z0", a="x1")
     places = np.tile(own[0], (mesh.vertex_number(), 1))
     places[:n], places[corners] = own, own[cells]
     move_vertices(meshes, places)

@@ -45,9 +45,7 @@ def encode(
         (f"double {axis}", "<f8", column)
         for axis, column in zip("xyz", result.points.T, strict=True)
     ]
-    def of_vertices(
-        values: NDArray[Any], name: str = "", *, field: bool = False
-    ) -> NDArray[Any]:
+    def of_vertices(values: NDArray[Any], name: str = "", *, field: bool = False) -> NDArray[Any]:
         moved = result.vertices
         return values if moved is None else moved.carried(values, name, field=field)
 

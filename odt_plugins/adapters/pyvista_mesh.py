@@ -188,9 +188,7 @@ def _follow_surface(out: Any, result: Result, host: HostMesh, rows: IndexArray) 
     if name is not None:
         values = np.array(out.cell_data[name])
         own = np.isin(rows, optimised_cells(host))
-        values[own] = renewed(
-            values[own], result.points, result.cells, of_vertices=False
-        )
+        values[own] = renewed(values[own], result.points, result.cells, of_vertices=False)
         out.cell_data[name] = values
 
 

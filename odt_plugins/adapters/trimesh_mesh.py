@@ -126,5 +126,4 @@ def _materials(mesh: Any) -> Any:
 def _of_length(attributes: Any, count: int) -> dict[str, NDArray[Any]]:
     """Attributes that have one entry for each of the vertices or faces."""
     arrays = {name: np.asarray(values) for name, values in attributes.items()}
-    return {name: values for name, values in arrays.items()
-            if values.ndim and len(values) == count}
+    return {name: values for name, values in arrays.items() if values.ndim and len(values) == count}

@@ -116,9 +116,7 @@ def read(path: Path, name: str) -> Grid:
                 _arrays(dataset.GetFieldData()))
 
 
-def write_and_read(
-    path: Path, mesh: Any, name: str, binary: bool | None = None
-) -> tuple[Any, str]:
+def write_and_read(path: Path, mesh: Any, name: str, binary: bool | None = None) -> tuple[Any, str]:
     """Write a mesh by VTK, and read the file again: by VTK, and by meshio.
 
     A mesh that was read from a file of that format is written as this is: arrays keep their types,
@@ -535,8 +533,7 @@ def _second_look(path: Path, name: str, mesh: Any) -> str:
     mine = mesh.cell_data_dict
     pairs += [(f"cell data {key!r}", values, mine.get(unquote(key), {}).get(kind))
               for key, parts in data.items() for kind, values in parts.items()]
-    return ", ".join(what for what, one, two in pairs
-                     if not _alike(np.ravel(one), np.ravel(two)))
+    return ", ".join(what for what, one, two in pairs if not _alike(np.ravel(one), np.ravel(two)))
 
 
 def _alike(one: NDArray[Any], two: NDArray[Any]) -> bool:

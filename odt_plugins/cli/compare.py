@@ -175,8 +175,7 @@ def make_table(result: MeshResult) -> Any:
         took = seconds(row.timing.median) if row.timing else ""
         took = _shown(row, "seconds", took, best)
         figures = [_shown(row, f, cells[f], best) for f in SHOWN]
-        table.add_row(row.contestant, took, *figures, cells["farthest"], cells["cg"],
-                      style=style)
+        table.add_row(row.contestant, took, *figures, cells["farthest"], cells["cg"], style=style)
     return table
 
 

@@ -356,8 +356,7 @@ def batch(
             click.echo("what failed before was left as it is; --resume --retry tries it again")
         for name, value in summary.totals(rows, seconds):
             click.echo(f"  {name:<26}{value}")
-        click.echo("written: "
-                   + ", ".join(str(out / name) for name in summary.FILES))
+        click.echo("written: " + ", ".join(str(out / name) for name in summary.FILES))
     if stopped:
         raise stopped
     code = DONE if all(row["status"] == "ok" for row in rows) else COULD_NOT

@@ -245,9 +245,7 @@ def choose(against: Sequence[str]) -> list[Contestant]:
               for name in dict.fromkeys(against) if name not in known)]
 
 
-def of_families(
-    contestants: Sequence[Contestant], against: Sequence[str]
-) -> list[Contestant]:
+def of_families(contestants: Sequence[Contestant], against: Sequence[str]) -> list[Contestant]:
     """Give ours and those of the families that are named; all unless any is."""
     return [c for c in contestants if c.name == OURS or not against or c.family in against]
 

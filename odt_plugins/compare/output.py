@@ -83,8 +83,7 @@ def to_csv(results: Sequence[MeshResult]) -> str:
     """One line for the start and for every row, the same columns for all."""
     lines = []
     for result in results:
-        base = {"mesh": result.start.name, "kind": result.start.kind,
-                "sha256": result.start.sha256}
+        base = {"mesh": result.start.name, "kind": result.start.kind, "sha256": result.start.sha256}
         lines.append(base | {"contestant": "start", "status": "ok"} | _columns(result.measured))
         for row in result.rows:
             lines.append(base | _row_columns(row))

@@ -38,8 +38,7 @@ def of_file(path: Path, start: StartMesh) -> tuple[Contestant, Run]:
                             remark="a mesh file; what made it, and in which time, is not known")
     host = files.read(path, AUTO)
     points, cells = mesh_arrays(host.points, host.cells)
-    flat = points.shape[1] == 2 or (
-        cells.shape[1] == 3 and plane_frame(points, cells) is not None)
+    flat = points.shape[1] == 2 or (cells.shape[1] == 3 and plane_frame(points, cells) is not None)
     kind: Kind = "tets" if cells.shape[1] == 4 else "planar" if flat else "surface"
     if kind != start.kind:
         return contestant, Run("unsupported", f"{path} holds {KINDS[kind]}")

@@ -11,9 +11,7 @@ Apply = Callable[[Callable[[Any], Any], Iterable[Any]], Iterator[Any]]
 """Applies a function to items and gives the results in the order of the items."""
 
 
-def told(
-    apply: Apply, report: Progress, stage: str, count: int
-) -> Apply:
+def told(apply: Apply, report: Progress, stage: str, count: int) -> Apply:
     """Give `apply` again, telling `report` the stage and the share of `count` items that is done.
 
     An item is done when its result has been used, for the next one is then asked for.

@@ -325,8 +325,7 @@ def _as_they_finish(jobs: Sequence[Job], client: Any, workers: int) -> Iterator[
         groups = [{index: jobs[index] for index in group}
                   for group in share_out(jobs, max(1, len(jobs) // (EACH * workers)))]
         with handling(signal.SIGINT, signal.SIG_IGN):
-            pool = multiprocessing.get_context("spawn").Pool(
-                workers, end_with, (os.getpid(),))
+            pool = multiprocessing.get_context("spawn").Pool(workers, end_with, (os.getpid(),))
         # on Ctrl-C the processes of the pool end, and with them those that they started
         with pool:
             for done in pool.imap_unordered(_list_group, groups):

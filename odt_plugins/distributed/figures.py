@@ -106,9 +106,7 @@ def _counts(files: Sequence[str], pivots: LongArray) -> LongArray:
     return counts
 
 
-def worse(
-    before: QualitySummary, after: QualitySummary, keep: Sequence[str]
-) -> list[str]:
+def worse(before: QualitySummary, after: QualitySummary, keep: Sequence[str]) -> list[str]:
     """Say which figures of the whole got worse, one sentence each; the volume is always kept."""
     found = []
     for name in keep:

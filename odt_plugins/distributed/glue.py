@@ -133,9 +133,7 @@ def near_cuts(whole: Whole) -> BoolArray:
     return near
 
 
-def one_round(
-    whole: Whole, label: IntArray, task: Task, apply: Map
-) -> tuple[Whole, Traffic]:
+def one_round(whole: Whole, label: IntArray, task: Task, apply: Map) -> tuple[Whole, Traffic]:
     """Cut along the labels, improve every block, glue.
 
     Raises
@@ -221,9 +219,7 @@ def _rims(mesh: SimplexMesh, label: IntArray) -> tuple[BoolArray, IntArray, Bool
     return rim, patch, held
 
 
-def _expect_fit(
-    result: Improved, before: FloatArray, held: BoolArray, index: int
-) -> None:
+def _expect_fit(result: Improved, before: FloatArray, held: BoolArray, index: int) -> None:
     """Refuse a result without some of the vertices, or with a rim that moved."""
     n, now = len(before), len(result.points)
     good = now >= n and len(result.cells) == len(result.regions)

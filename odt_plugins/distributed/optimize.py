@@ -135,8 +135,7 @@ def run_blocks(
         report = in_turn(told_all, int(judged)).progress
         for index in range(rounds):
             state = done.states[-1]
-            last = index == rounds - 1 or (
-                index > 0 and near_cuts(state).sum() <= LAST_CELLS)
+            last = index == rounds - 1 or (index > 0 and near_cuts(state).sum() <= LAST_CELLS)
             if length and index == 1:
                 state = replace(state, mesh=_on_ground(start.mesh, state.mesh))
                 done.states[-1] = state
@@ -173,9 +172,7 @@ class _Done:
     counts: dict[str, int] = field(default_factory=dict)
     fallbacks: list[str] = field(default_factory=list)
 
-    def add(
-        self, name: str, label: IntArray, task: Task, apply: Map
-    ) -> None:
+    def add(self, name: str, label: IntArray, task: Task, apply: Map) -> None:
         """Do one round."""
         clock = time.perf_counter()
         whole, traffic = one_round(self.states[-1], label, task, apply)

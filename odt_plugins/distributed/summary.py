@@ -100,9 +100,7 @@ def _write_parquet(path: Path, rows: Sequence[dict[str, Any]]) -> None:
     pq.write_table(pa.Table.from_pylist(plain, schema=schema), path)
 
 
-def to_page(
-    rows: Sequence[dict[str, Any]], command: str, threads: int, seconds: float
-) -> str:
+def to_page(rows: Sequence[dict[str, Any]], command: str, threads: int, seconds: float) -> str:
     """The page, what failed first.
 
     Raises

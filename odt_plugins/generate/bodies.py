@@ -84,9 +84,7 @@ def outward(points: FloatArray, faces: IntArray) -> BoolArray:
     return np.asarray(turned ^ inward[bodies.of_face])
 
 
-def body_labels(
-    x: FloatArray, points: FloatArray, faces: IntArray, reach: float
-) -> IntArray:
+def body_labels(x: FloatArray, points: FloatArray, faces: IntArray, reach: float) -> IntArray:
     """Number the closed components that points lie in.
 
     Parameters
@@ -108,8 +106,7 @@ def body_labels(
     rank = np.empty(len(first), dtype=np.int32)
     rank[solid[np.argsort(first[solid])]] = np.arange(1, len(solid) + 1)
     for body in solid[np.argsort(-bodies.volume[solid], kind="stable")]:
-        near = np.flatnonzero(
-            ((x >= bodies.low[body]) & (x <= bodies.high[body])).all(axis=1))
+        near = np.flatnonzero(((x >= bodies.low[body]) & (x <= bodies.high[body])).all(axis=1))
         own = bodies.faces[bodies.of_face == body]
         label[near[winding(points, own, x[near]) >= HALF]] = rank[body]
     left = np.flatnonzero(label == 0)
@@ -161,8 +158,7 @@ def _neighbors(points: FloatArray, faces: IntArray) -> IntArray:
         return edges.neighbors
     # around an edge from its smaller vertex on, a solid ends at a face that runs the same way
     ends = edges.forward[cell, corner]
-    edge, first, of = np.unique(
-        edges.of_cell[cell, corner], return_index=True, return_inverse=True)
+    edge, first, of = np.unique(edges.of_cell[cell, corner], return_index=True, return_inverse=True)
     low, high = points[edges.vertices[edge]].swapaxes(0, 1)
     along, u = (high - low)[of], points[faces[cell, corner]] - low[of]
     upright = np.cross(along, u)

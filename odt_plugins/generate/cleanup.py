@@ -93,9 +93,7 @@ def _ring(v: int, star: IntArray) -> list[int]:
     return ring[:-1] if ring[0] == ring[-1] else ring
 
 
-def _filling(
-    points: FloatArray, ring: list[int]
-) -> tuple[float, list[tuple[int, ...]]] | None:
+def _filling(points: FloatArray, ring: list[int]) -> tuple[float, list[tuple[int, ...]]] | None:
     """The best triangulation of a ring of three or four vertices, with its least radius ratio."""
     if len(ring) == 3:
         choices = [[tuple(ring)]]

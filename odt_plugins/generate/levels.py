@@ -258,9 +258,7 @@ def check_levels(levels: Any, edge_length: Any, options: Mapping[str, Any]) -> N
         raise InvalidOptionError(msg)
 
 
-def _carried(
-    host: HostMesh, fixed: BoolArray, frozen: BoolArray
-) -> tuple[BoolArray, BoolArray]:
+def _carried(host: HostMesh, fixed: BoolArray, frozen: BoolArray) -> tuple[BoolArray, BoolArray]:
     """Fixed vertices and frozen cells after refinement: a mid-point is fixed if both ends are."""
     edges, _ = numbered_edges(np.asarray(host.cells).astype(np.int64), len(host.points))
     return np.concatenate([fixed, fixed[edges].all(axis=1)]), np.repeat(frozen, 8)
@@ -293,8 +291,7 @@ def _projected(
     for kept in host.kept:
         if kept.rows.shape[1] == 1:
             held[kept.rows] = True
-    new, asked, short = project(
-        points, cells, held, target, envelope, host.points.dtype, last=last)
+    new, asked, short = project(points, cells, held, target, envelope, host.points.dtype, last=last)
     moved = (new != points).any(axis=1)
     out = np.array(host.points)
     out[moved] = new[moved]
@@ -311,9 +308,7 @@ def _projected(
     return adapter.write(result, host), asked, short
 
 
-def _measured(
-    host: HostMesh, target: Target, envelope: float
-) -> tuple[tuple[float, float], float]:
+def _measured(host: HostMesh, target: Target, envelope: float) -> tuple[tuple[float, float], float]:
     """Distances of the boundary to the surface and back, and the volume of the mesh."""
     points, cells = mesh_arrays(host.points, host.cells)
     volume = volumes(points, cells)

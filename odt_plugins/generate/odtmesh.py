@@ -166,8 +166,7 @@ def _levels(plan: Plan, level: int | None) -> list[int]:
     if level is not None:
         return [int(level)]
     first = max(round(math.log2(max(plan.count, 1.0) / COARSE) / 2), 0)
-    return [k for k in range(first, -1, -1)
-            if k == first or plan.count / 4**k <= MOST_COARSE]
+    return [k for k in range(first, -1, -1) if k == first or plan.count / 4**k <= MOST_COARSE]
 
 
 def _build(

@@ -190,9 +190,7 @@ def check_edges(mesh: Mesh, domain: Domain) -> None:
     _check_middles(points[len(mesh.points):], mesh.points[ends], on_rim, domain)
 
 
-def _check_middles(
-    middle: FloatArray, ends: FloatArray, on_rim: BoolArray, domain: Domain
-) -> None:
+def _check_middles(middle: FloatArray, ends: FloatArray, on_rim: BoolArray, domain: Domain) -> None:
     off = domain.distance(middle) / np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)
     for bad, what in ((on_rim & (np.abs(off) > BULGE), "is far from the boundary"),
                       (~on_rim & (off > ASTRAY), "leaves the domain")):

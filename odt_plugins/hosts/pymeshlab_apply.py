@@ -139,9 +139,7 @@ def _log(lines: list[str]) -> None:
     sys.stderr.flush()
 
 
-def script_entry(
-    chosen: Filter, values: Mapping[str, Any], diagonal: float
-) -> ElementTree.Element:
+def script_entry(chosen: Filter, values: Mapping[str, Any], diagonal: float) -> ElementTree.Element:
     """Make the element <filter> of a filter script."""
     entry = ElementTree.Element("filter", name=chosen.gui)
     for parameter in chosen.parameters:

@@ -121,8 +121,7 @@ def _tetrahedralize(meshes: Any, values: Mapping[str, Any]) -> Effect:
             raise
         msg = f"TetWild failed: {exc}; expected a closed surface, try meshing_close_holes()"
         raise InvalidMeshError(msg) from exc
-    (points, cells), report = optimize_with_report(
-        tets, **_options(values, length))
+    (points, cells), report = optimize_with_report(tets, **_options(values, length))
     used, faces = boundary_surface(cells)
     matrix = np.array(surface.transform_matrix())
     from pymeshlab import Mesh
@@ -135,16 +134,13 @@ def _tetrahedralize(meshes: Any, values: Mapping[str, Any]) -> Effect:
         came, went = (report.counts[f"vertices {what}"] for what in ("added", "removed"))
         effect.values.update(vertices_added=came, vertices_removed=went)
         effect.lines.insert(1, f"{came} vertices added, {went} vertices removed")
-    effect.values.update(
-        tet_vertex_matrix=points, tet_matrix=cells, boundary_vertex_index=used)
+    effect.values.update(tet_vertex_matrix=points, tet_matrix=cells, boundary_vertex_index=used)
     effect.lines.insert(0, f"{len(points)} vertices, {len(cells)} tetrahedra, "
                            f"{len(faces)} boundary faces")
     return effect
 
 
-def boundary_surface(
-    cells: NDArray[np.int32],
-) -> tuple[NDArray[np.intp], NDArray[np.int32]]:
+def boundary_surface(cells: NDArray[np.int32]) -> tuple[NDArray[np.intp], NDArray[np.int32]]:
     """Boundary of positively oriented tetrahedra, seen from outside.
 
     Returns
@@ -176,8 +172,7 @@ def _options(values: Mapping[str, Any], length: float) -> dict[str, Any]:
     if values.get("boundary"):
         options["boundary"] = "slide"
     if "envelope" in values:
-        options |= {"envelope": values["envelope"] / length,
-                    "feature_angle": values["featuredeg"]}
+        options |= {"envelope": values["envelope"] / length, "feature_angle": values["featuredeg"]}
     return options
 
 

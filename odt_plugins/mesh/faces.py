@@ -91,9 +91,7 @@ def borders_of(triangles: Faces) -> IntArray:
     return np.asarray(every[(count != 2) | differ])
 
 
-def turns_of(
-    rows: NDArray[np.integer], facets: IntArray
-) -> tuple[BoolArray, BoolArray]:
+def turns_of(rows: NDArray[np.integer], facets: IntArray) -> tuple[BoolArray, BoolArray]:
     """Which rows (k, d) are among such facets (q, d), and which of those the other way round."""
     number = labels_at(rows, Faces(facets, np.arange(len(facets), dtype=np.int32)))
     odd = sorted_columns(facets)[1]

@@ -292,9 +292,7 @@ def _sums(rows: NDArray[np.int64], values: FloatArray | None, k: int) -> FloatAr
     return np.asarray(sum(np.bincount(column, values, k) for column in rows.T), dtype=np.float64)
 
 
-def _means(
-    rows: NDArray[np.int64], values: FloatArray, at: NDArray[np.intp], k: int
-) -> FloatArray:
+def _means(rows: NDArray[np.int64], values: FloatArray, at: NDArray[np.intp], k: int) -> FloatArray:
     """Means of values (m, ...) over the rows that hold the places `at`, (len(at), ...) flat."""
     flat = values.reshape(len(values), -1)
     sums = [_sums(rows, column, k)[at] for column in flat.T]

@@ -78,9 +78,7 @@ def _directions(x: FloatArray, rows: NDArray[np.int64]) -> FloatArray:
     return np.asarray(normal[largest[share >= SMALL * area.sum()]])
 
 
-def _match(
-    x: FloatArray, low: NDArray[np.int64], high: NDArray[np.int64], close: float
-) -> bool:
+def _match(x: FloatArray, low: NDArray[np.int64], high: NDArray[np.int64], close: float) -> bool:
     """Whether some triangles are others, apart by a translation."""
     from scipy.spatial import cKDTree
 

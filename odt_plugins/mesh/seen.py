@@ -14,9 +14,7 @@ NO_METRIC: FloatArray = np.zeros((0, 0))
 """Rows of no metric."""
 
 
-def as_seen(
-    points: FloatArray, cells: IntArray, metric: FloatArray
-) -> tuple[FloatArray, IntArray]:
+def as_seen(points: FloatArray, cells: IntArray, metric: FloatArray) -> tuple[FloatArray, IntArray]:
     """Cells that share no vertices and have the shapes that a metric gives to those of a mesh.
 
     Parameters

@@ -267,9 +267,7 @@ def corner_mean(values: FloatArray, cells: IntArray, threads: int = 1) -> FloatA
     return mean
 
 
-def determinant(
-    rows: FloatArray | Sequence[FloatArray] | Sequence[Sequence[float]]
-) -> FloatArray:
+def determinant(rows: FloatArray | Sequence[FloatArray] | Sequence[Sequence[float]]) -> FloatArray:
     """Determinants of matrices 2 x 2 or 3 x 3, row by row: (d, d, ...) gives (...)."""
     if len(rows) == 2:
         (a, b), (c, d) = rows
@@ -372,9 +370,7 @@ def _check_span(p: FloatArray, t: IntArray) -> None:
         raise InvalidMeshError(msg)
 
 
-def cell_signs(
-    p: FloatArray, t: IntArray, threads: int = 1
-) -> tuple[NDArray[np.int8], FloatArray]:
+def cell_signs(p: FloatArray, t: IntArray, threads: int = 1) -> tuple[NDArray[np.int8], FloatArray]:
     """Sign of every signed volume, (m,) int8, 0 where it is flat, and the extents of the cells.
 
     A sign other than 0 is exact: FLAT is above the bounds of the rounding error, (3 + 16 u) u and
@@ -393,9 +389,7 @@ def cell_signs(
         corner = axes.take(t[part].T, axis=1)
         size[part] = (corner.max(axis=1) - corner.min(axis=1)).max(axis=0)
         det = determinant((corner[:, 1:] - corner[:, :1]).swapaxes(0, 1))
-        sign[part] = np.sign(det) * (
-            np.abs(det) > FLAT * math.prod([size[part]] * p.shape[1])
-        )
+        sign[part] = np.sign(det) * (np.abs(det) > FLAT * math.prod([size[part]] * p.shape[1]))
 
     spread(measure, chunks(len(t)), threads)
     return sign, size

@@ -78,9 +78,7 @@ def gradient_p1(points: FloatArray, cells: IntArray, vertex_rho: FloatArray) -> 
     return corner_sums(2.0 * weights[:, :, None] * pull, cells, len(points))
 
 
-def approximate_gradient(
-    points: FloatArray, cells: IntArray, rho: CellDensity = 1.0
-) -> FloatArray:
+def approximate_gradient(points: FloatArray, cells: IntArray, rho: CellDensity = 1.0) -> FloatArray:
     """Derivative of E~_i with respect to x_i by barycenters, (4.19) and (4.23), shape (n, d).
 
     Notes

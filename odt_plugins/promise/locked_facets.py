@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from odt_plugins.mesh.facets import UnevenFacets, row_keys, sorted_columns, uneven_facets
 
-LOCAL_FACETS = {3: ((1, 2), (2, 0), (0, 1)),
-                4: ((1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1))}
+LOCAL_FACETS = {3: ((1, 2), (2, 0), (0, 1)), 4: ((1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1))}
 """Facets of a positive simplex by local vertex, outward, the one opposite vertex 0 first."""
 
 
@@ -31,9 +30,7 @@ class LockedFacets(NamedTuple):
     boundary: NDArray[np.bool_]
 
 
-def locked_facets(
-    cells: NDArray[Any], regions: NDArray[Any], n_points: int
-) -> LockedFacets:
+def locked_facets(cells: NDArray[Any], regions: NDArray[Any], n_points: int) -> LockedFacets:
     """Collect the boundary and interface facets of a mesh, sorted; any broken mesh will do.
 
     Returns
@@ -76,9 +73,7 @@ def facet_census(
     return LockedFacets(facets[locked], label[locked], cell[locked], alone[locked]), facets[twice]
 
 
-def _between_labels(
-    cells: NDArray[Any], regions: NDArray[Any], n_points: int
-) -> NDArray[np.bool_]:
+def _between_labels(cells: NDArray[Any], regions: NDArray[Any], n_points: int) -> NDArray[np.bool_]:
     """Mark the vertices (n,) of cells of different labels."""
     mixed = np.zeros(n_points, bool)
     if (regions == regions[:1]).all():

@@ -51,5 +51,4 @@ def _outside(points: NDArray[np.float64], cells: NDArray[np.int32]) -> float:
     x = points[uneven_facets(cells, len(points)).open]
     if cells.shape[1] == 3:
         return float(np.linalg.norm(x[:, 1] - x[:, 0], axis=1).sum())
-    return 0.5 * float(np.linalg.norm(
-        np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), axis=1).sum())
+    return 0.5 * float(np.linalg.norm(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), axis=1).sum())

@@ -89,9 +89,7 @@ def broken_by_retiling(
     return broken + fallen_since(before, points, cells, metric, keep)
 
 
-def without_area(
-    points: NDArray[np.float64], cells: NDArray[np.int32]
-) -> NDArray[np.bool_]:
+def without_area(points: NDArray[np.float64], cells: NDArray[np.int32]) -> NDArray[np.bool_]:
     """Mark the triangles (m,) in space with an altitude that the rounding of coordinates hides."""
     x = points[cells]
     u, v = x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]

@@ -124,8 +124,7 @@ def _not_positive(
     d = points.shape[1]
     with np.errstate(invalid="ignore"):
         doubtful = ~(figures.volume > ROUNDING * figures.circumradius**d)
-    bad = [i for i in np.flatnonzero(doubtful)
-           if exact_sign(*whole_numbers(points[cells[i]])) <= 0]
+    bad = [i for i in np.flatnonzero(doubtful) if exact_sign(*whole_numbers(points[cells[i]])) <= 0]
     return np.array(bad, dtype=np.intp)
 
 
@@ -151,9 +150,7 @@ def held_vertices(mesh: SimplexMesh) -> NDArray[np.bool_]:
     return np.asarray(np.logical_or.reduce(list(held_by(mesh).values())))
 
 
-def held_by(
-    mesh: SimplexMesh, locked: LockedFacets | None = None
-) -> dict[str, NDArray[np.bool_]]:
+def held_by(mesh: SimplexMesh, locked: LockedFacets | None = None) -> dict[str, NDArray[np.bool_]]:
     """Say which vertices must stay, (n,) bool each, by the reason why.
 
     The reasons are boundary, interface (between bodies), fixed, frozen and unused; a vertex may
@@ -382,9 +379,7 @@ def _volume_per_label(
     return volume / (2 if d == 2 else 6), rounding
 
 
-def _thawed(
-    before: SimplexMesh, cells: NDArray[Any], regions: NDArray[Any], n: int
-) -> list[str]:
+def _thawed(before: SimplexMesh, cells: NDArray[Any], regions: NDArray[Any], n: int) -> list[str]:
     """Look every frozen cell up, with its label."""
     frozen = before.frozen
     if not frozen.any():

@@ -129,9 +129,7 @@ def _plain_frame(axes: Any, title: str) -> None:
         axes.set_title(title, fontsize=13, color=INK)
 
 
-def paint_mesh(
-    axes: Any, points: NDArray[np.float64], cells: NDArray[Any], *, up: int = 2
-) -> Any:
+def paint_mesh(axes: Any, points: NDArray[np.float64], cells: NDArray[Any], *, up: int = 2) -> Any:
     """Paint a surface, or the far half of a tetrahedral mesh, from the back to the front.
 
     Parameters

@@ -449,5 +449,4 @@ def _plain(value: Any) -> Any:
 def versions() -> dict[str, str]:
     """Versions of what computes."""
     names = ("odt-plugins", "numpy", "scipy", "numba", "pyamg")
-    return {"python": platform.python_version()} | {
-        name: installed_version(name) for name in names}
+    return {"python": platform.python_version()} | {name: installed_version(name) for name in names}

@@ -94,8 +94,7 @@ def _labels(
             and block.kind == next(k for k in ORDERS if any(k == o.kind for o in deck.blocks))]
     if not main:
         return out
-    rows = np.concatenate([deck.blocks[b].rows[:, : len(FACES[deck.blocks[b].kind])]
-                           for b in main])
+    rows = np.concatenate([deck.blocks[b].rows[:, : len(FACES[deck.blocks[b].kind])] for b in main])
     starts = dict(zip(main, np.cumsum([0, *(sizes[b] for b in main)]).tolist(), strict=False))
     inside = {}
     for title, own in sets.items():

@@ -169,8 +169,7 @@ def _moved(text: bytes, place: list[float]) -> bytes:
     missing = words[text.rstrip().rstrip(b",").count(b","):]
     if missing:
         end = len(text.rstrip().rstrip(b","))
-        text = text[:end] + b"".join(b", " + word for word in missing) + text[
-            len(text.rstrip()):]
+        text = text[:end] + b"".join(b", " + word for word in missing) + text[len(text.rstrip()):]
     return _exchanged(text, [None, *words])
 
 
@@ -404,8 +403,7 @@ def _set(
             if len(numbers) != len(generated(words)):
                 new = b"".join(_runs(numbers, _end(text) or b"\n"))
         elif any(word.isdigit() and int(word) in drop for word in words):
-            kept = [word for word in words if word and not (
-                word.isdigit() and int(word) in drop)]
+            kept = [word for word in words if word and not (word.isdigit() and int(word) in drop)]
             comma = b"," if text.rstrip().endswith(b",") else b""
             new = encoded(", ".join(kept), text) + comma + _end(text) if kept else b""
         if add and i == section.lines[-1]:

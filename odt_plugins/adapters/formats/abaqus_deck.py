@@ -150,9 +150,7 @@ def resolved(sections: list[Section]) -> dict[str, str]:
             for s in sections if s.name == "INSTANCE" and "NAME" in s.params}
 
 
-def _lines(
-    path: Path, number: int, seen: set[Path]
-) -> tuple[list[bytes], list[int], list[int]]:
+def _lines(path: Path, number: int, seen: set[Path]) -> tuple[list[bytes], list[int], list[int]]:
     """Lines of a file and of all that it includes."""
     texts: list[bytes] = []
     starts: list[int] = []

@@ -61,9 +61,7 @@ def edited(data: bytes, edits: Iterable[Edit]) -> bytes:
     return b"".join([*out, data[at:]])
 
 
-def substituted(
-    text: bytes, spans: Sequence[tuple[int, int]], words: Mapping[int, bytes]
-) -> bytes:
+def substituted(text: bytes, spans: Sequence[tuple[int, int]], words: Mapping[int, bytes]) -> bytes:
     """Exchange some words of a record, which are told by their places among all of its spans."""
     return edited(text, [(*spans[i], word) for i, word in words.items()
                          if text[spans[i][0]: spans[i][1]] != word])

@@ -50,8 +50,7 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
             raw(new)
             new.setncatts({name: old.getncattr(name) for name in old.ncattrs()})
             for name, dim in old.dimensions.items():
-                new.createDimension(
-                    name, None if dim.isunlimited() else sizes.get(name, len(dim)))
+                new.createDimension(name, None if dim.isunlimited() else sizes.get(name, len(dim)))
             for name, variable in old.variables.items():
                 _copy(new, name, variable, sizes, values)
     return []
@@ -135,8 +134,7 @@ def _taken(variable: Any, name: str, change: Change, rows: Any, source: Any) -> 
         if dim == "num_nodes" and not change.renumbered:
             continue
         if dim == "num_nodes":
-            if (change.points < 0).any() and not re.match(
-                    "vals_nod_var|coord|node_num_map", name):
+            if (change.points < 0).any() and not re.match("vals_nod_var|coord|node_num_map", name):
                 msg = f"points were added, and it has {name}"
                 raise NotRewritable(msg)
             data = data.take(change.points, axis=axis)

@@ -219,9 +219,7 @@ def _side_sets(
     return set(names) - {""}
 
 
-def _element_sets(
-    file: Any, mesh: Any, parts: list[_Part], named: set[str], starts: Any
-) -> None:
+def _element_sets(file: Any, mesh: Any, parts: list[_Part], named: set[str], starts: Any) -> None:
     """Write the other cell sets as sets of elements."""
     sets = {}
     for name in mesh.cell_sets:

@@ -170,9 +170,7 @@ def _sections(data: bytes) -> Iterator[Section]:
         at = _behind(data, start.start())
 
 
-def _rows(
-    data: bytes, at: int, what: tuple[int, int, int], head: list[int]
-) -> tuple[Any, int]:
+def _rows(data: bytes, at: int, what: tuple[int, int, int], head: list[int]) -> tuple[Any, int]:
     """Numbers of a section from a place on, and the place behind them."""
     number, form, dim = what
     count = head[2] - head[1] + 1

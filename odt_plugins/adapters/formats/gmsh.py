@@ -163,8 +163,7 @@ def _homes(
         if np.array_equal(cells, records):
             found = np.arange(len(cells))
         else:
-            both, inverse = np.unique(np.concatenate([cells, records]), axis=0,
-                                      return_inverse=True)
+            both, inverse = np.unique(np.concatenate([cells, records]), axis=0, return_inverse=True)
             inverse = inverse.ravel()
             home = np.full(len(both), -1, dtype=np.int64)
             home[inverse[: len(cells)]] = np.arange(len(cells))
@@ -271,9 +270,7 @@ def _number(file: File, value: int) -> bytes:
     return str(value).encode() if file.version[0] != "4" else coded(file, value, file.long)
 
 
-def _order(
-    run: Run, row: _Rows, cells: NDArray[Any], nodes: Nodes, change: Change
-) -> list[int]:
+def _order(run: Run, row: _Rows, cells: NDArray[Any], nodes: Nodes, change: Change) -> list[int]:
     """Places in the mesh, whose cells take that of the run, of the nodes of an element of the file.
 
     Raises

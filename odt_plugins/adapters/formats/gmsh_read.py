@@ -361,9 +361,7 @@ def _without_cuts(blocks: Any, part: Any, entities: Any) -> tuple[list[Any], lis
             [np.concatenate([part[k] for k in ks]) for ks in joined.values()])
 
 
-def _spread(
-    tags: NDArray[Any], given: NDArray[Any], values: NDArray[Any]
-) -> NDArray[Any]:
+def _spread(tags: NDArray[Any], given: NDArray[Any], values: NDArray[Any]) -> NDArray[Any]:
     """Values of all nodes or elements; those of which the file tells none are not a number.
 
     Gmsh stores values of elements and nodes that are in no group, too, and not these themselves.

@@ -40,8 +40,7 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
         _expect_known(file, name, change, [b.word for b, other in zip(blocks, changed, strict=True)
                                            if other])
         of_points = f"FAS/{name}/NOEUD"
-        _write_points(
-            step["NOE"], change, names_of(file[of_points]) if of_points in file else {})
+        _write_points(step["NOE"], change, names_of(file[of_points]) if of_points in file else {})
         for i, block in enumerate(blocks):
             if changed[i] or change.renumbered:
                 _write_cells(step["MAI"][block.word], block, change, i)

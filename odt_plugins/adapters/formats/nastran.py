@@ -259,8 +259,7 @@ def parsed(path: Path) -> Deck:
         block = found.pop(kind)
         held += [v for row in block.rows for v in row]
         others |= {card.name for card in block.cards}
-    blocks = [block._replace(rows=np.array(block.rows, dtype=np.int64))
-              for block in found.values()]
+    blocks = [block._replace(rows=np.array(block.rows, dtype=np.int64)) for block in found.values()]
     deck = Deck(data, cards, grids, number, points, blocks,
                 np.unique(np.array(held, dtype=np.int64)), _sets(cards, at), [], [],
                 sorted(others), last, system)

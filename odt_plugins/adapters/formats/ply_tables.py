@@ -177,8 +177,7 @@ def _of_text(data: bytes, element: Element, at: int) -> tuple[Table, int]:
     if all(p.listed is None for p in element.properties):
         whole = np.array([row[: len(element.properties)] for row in rows], dtype=np.bytes_)
         whole = whole.reshape(element.size, len(element.properties))
-        return {p.name: _numbers(whole[:, i], p.type)
-                for i, p in enumerate(element.properties)}, at
+        return {p.name: _numbers(whole[:, i], p.type) for i, p in enumerate(element.properties)}, at
     found: dict[str, list[Any]] = {p.name: [] for p in element.properties}
     for words in rows:
         k = 0

@@ -169,8 +169,7 @@ def _points(data: bytes, parts: Parts, change: Change) -> list[Edit]:
 def _counted(data: bytes, head: Row, count: int) -> Edit:
     """The line of a keyword with another number of rows."""
     key, _, rest = data[head.start: head.stop].partition(b"=")
-    return head.start, head.stop, key + b"=" + rest.replace(
-        rest.split()[0], str(count).encode(), 1)
+    return head.start, head.stop, key + b"=" + rest.replace(rest.split()[0], str(count).encode(), 1)
 
 
 def _numbers(names: list[str]) -> dict[str, int]:

@@ -340,8 +340,7 @@ def cells_of(
     return [(kind, data.reshape(-1, width) - offset_of(topology))], [None]
 
 
-def _mixed(data: NDArray[np.int64]) -> tuple[list[tuple[str, NDArray[np.int64]]],
-                                             list[int | None]]:
+def _mixed(data: NDArray[np.int64]) -> tuple[list[tuple[str, NDArray[np.int64]]], list[int | None]]:
     """Take a list of types and nodes apart; vertices may be without their number of nodes."""
     for counted in (COUNTED, {key: kind for key, kind in COUNTED.items() if key != 1}):
         parts: list[tuple[str, NDArray[np.int64]]] = []
@@ -497,8 +496,7 @@ def _sets(
     for (_, name), entries in found.items():
         same = all(np.array_equal(entries[0][1], members) for _, members in entries)
         titles = [name] * len(entries) if same else step_names(name, len(entries))
-        out += [own._replace(title=title)
-                for title, (own, _) in zip(titles, entries, strict=True)]
+        out += [own._replace(title=title) for title, (own, _) in zip(titles, entries, strict=True)]
     return out, list(unknown)
 
 

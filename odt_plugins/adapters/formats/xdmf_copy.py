@@ -290,9 +290,7 @@ def _into_hdf(path: Path, inside: str, values: NDArray[Any], count: int) -> None
             made.attrs.create(key, value, dtype=dtype)
 
 
-def _into_bytes(
-    item: Any, path: Path, seek: int, old: NDArray[Any], values: NDArray[Any]
-) -> None:
+def _into_bytes(item: Any, path: Path, seek: int, old: NDArray[Any], values: NDArray[Any]) -> None:
     """Write numbers at their place in a file of bytes.
 
     Raises

@@ -46,9 +46,7 @@ def prepare(start: StartMesh, settings: Settings) -> Task:
     return Task(call, collect)
 
 
-def write_rows(
-    name: str, columns: tuple[int, ...], rows: NDArray[Any], number: str
-) -> None:
+def write_rows(name: str, columns: tuple[int, ...], rows: NDArray[Any], number: str) -> None:
     """Write a file of Triangle's and TetGen's kind: numbered rows behind one that counts them."""
     numbers = np.arange(1, len(rows) + 1)
     np.savetxt(name, np.column_stack([numbers, rows]), fmt=["%d"] + [number] * rows.shape[1],

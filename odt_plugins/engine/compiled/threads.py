@@ -40,9 +40,7 @@ def thread_pool(threads: int) -> AbstractContextManager[Pool | None]:
     return Pool(threads) if threads > 1 else nullcontext()
 
 
-def run_ranges(
-    pool: Pool | None, size: int, work: Callable[[int, int], T]
-) -> list[T]:
+def run_ranges(pool: Pool | None, size: int, work: Callable[[int, int], T]) -> list[T]:
     """Call ``work(start, stop)`` over parts of range(size); returns what it returned.
 
     The parts are the same for any number of threads, so that sums over them are too.
@@ -60,9 +58,7 @@ def run_ranges(
     return list(map(work, starts, stops) if pool is None else pool.map(work, starts, stops))
 
 
-def run_pieces(
-    pool: Pool | None, size: int, work: Callable[[int, int], object]
-) -> None:
+def run_pieces(pool: Pool | None, size: int, work: Callable[[int, int], object]) -> None:
     """Call ``work(start, stop)`` over pieces of the parts of range(size), as :func:`run_ranges`."""
     def part(start: int, stop: int) -> None:
         for first, last in pieces(start, stop):

@@ -172,9 +172,7 @@ def repair(worse: Sequence[str], small_angles: float) -> tuple[tuple[Phase, ...]
     """
     if "share_below_20" in worse and set(worse) <= {"share_below_20", *EXTREMES}:
         share = min(small_angles, POLICY.many_small_angles)
-        again = Phase(
-            1.0, 1.0, 3, 3, guard=0.0, least=POLICY.small_angle, name="after repair"
-        )
+        again = Phase(1.0, 1.0, 3, 3, guard=0.0, least=POLICY.small_angle, name="after repair")
         return tuple(
             (Phase(power, share, 2, 3, 3, DIHEDRAL, guard=guard, name="repair"), again)
             for power, guard in ((2.0, 0.01), (2.0, 1e-3), (4.0, 0.0))

@@ -88,9 +88,7 @@ class _PlaneDescent(TriangleDescent):
         return quality_flips(self.mesh, self.phase.cost, self.bounds,
                              movable_cells=self.movable_cells, seeds=seeds, changed=changed)
 
-    def compound_moves(
-        self, tried: BoolArray, excess: FloatArray
-    ) -> Callable[[IntArray], int]:
+    def compound_moves(self, tried: BoolArray, excess: FloatArray) -> Callable[[IntArray], int]:
         """What tries compound moves at some cells."""
         rule = Rule(self.phase.cost, self.bounds, self.movable_cells, ~self.movable, True)
         edges = number_edges(self.mesh.neighbors)

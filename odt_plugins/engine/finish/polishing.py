@@ -67,9 +67,7 @@ def polish_small_angles(
         memory.offer(part, name)
 
 
-def _small(
-    mesh: Complex, cut: BoolArray | None, pool: Pool | None
-) -> IntArray:
+def _small(mesh: Complex, cut: BoolArray | None, pool: Pool | None) -> IntArray:
     """Cells (k, 4) with a small angle, but those at the cut."""
     cells, _ = mesh.mesh_arrays()
     small = cells[cell_shapes(mesh.points, cells, pool)[:, 1] > COS_SMALL]

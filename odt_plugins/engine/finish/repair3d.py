@@ -68,9 +68,7 @@ def lacking(
     return total
 
 
-def _search(
-    points: FloatArray, star: IntArray, v: int, bounds: Extremes, margin: float
-) -> None:
+def _search(points: FloatArray, star: IntArray, v: int, bounds: Extremes, margin: float) -> None:
     """Let a vertex look for a place where its star pays less, in place.
 
     A trial looks at places around, and twice as far the way that the last one went.

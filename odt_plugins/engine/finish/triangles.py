@@ -37,9 +37,7 @@ class TriangleDescent(ABC):
         """Measure of every triangle, (m,)."""
         m = np.empty(len(self.cells))
         for first, last in pieces(0, len(self.cells)):
-            cell_measures(
-                self.points, self.cells[first:last], self.phase.objective, m[first:last]
-            )
+            cell_measures(self.points, self.cells[first:last], self.phase.objective, m[first:last])
         return m
 
     @abstractmethod
@@ -47,9 +45,7 @@ class TriangleDescent(ABC):
         """Flip from the seeds (m,) on; ``changed`` (m,) is set where a triangle was replaced."""
 
     @abstractmethod
-    def compound_moves(
-        self, tried: BoolArray, excess: FloatArray
-    ) -> Callable[[IntArray], int]:
+    def compound_moves(self, tried: BoolArray, excess: FloatArray) -> Callable[[IntArray], int]:
         """What tries compound moves at some cells; parameters as of ``compound_pass_2d``."""
 
     def compound(self) -> int:

@@ -57,9 +57,7 @@ def _large_cosines(mesh: Complex, pool: Pool | None) -> FloatArray:
     return np.concatenate(run_ranges(pool, mesh.used, part))
 
 
-def held_angles(
-    mesh: Complex, bounds: Bounds, share: float, pool: Pool | None = None
-) -> Bounds:
+def held_angles(mesh: Complex, bounds: Bounds, share: float, pool: Pool | None = None) -> Bounds:
     """Bounds under which no new cell gets a smaller angle than a share of the cells has now."""
     return bounds.with_large(quantile(_large_cosines(mesh, pool), 1.0 - share))
 
@@ -70,9 +68,7 @@ def reached(mesh: Complex, pool: Pool | None = None) -> Extremes:
     return together(Extremes(*part) for part in parts)
 
 
-def guarded(
-    mesh: Complex, phase: Phase, bounds: Bounds, pool: Pool | None = None
-) -> Bounds:
+def guarded(mesh: Complex, phase: Phase, bounds: Bounds, pool: Pool | None = None) -> Bounds:
     """Bounds for a phase by its guard and its least angle, see :class:`Phase`."""
     if phase.least is not None:
         cosines = _large_cosines(mesh, pool)
@@ -262,9 +258,7 @@ def _compound_part(
     phase: Phase, bounds: Bounds, tried: BoolArray, order: IntArray, tets: Tets
 ) -> int:
     """Try compound moves at the cells of one slab."""
-    return int(compound_pass(
-        tets, order, phase.cost, POLICY.quality_ring, bounds, tried
-    ))
+    return int(compound_pass(tets, order, phase.cost, POLICY.quality_ring, bounds, tried))
 
 
 def _reconnected_part(

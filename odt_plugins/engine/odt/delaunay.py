@@ -180,9 +180,7 @@ def delaunay_exchange(
         pieces=n_old, unchanged=int(same.sum()), exchanged=int(open_.sum()), **refused)
 
 
-def non_delaunay_facets(
-    points: FloatArray, cells: IntArray, neighbors: IntArray
-) -> IntArray:
+def non_delaunay_facets(points: FloatArray, cells: IntArray, neighbors: IntArray) -> IntArray:
     """List the interior facets that are not locally Delaunay (Definition 2.1, Section 3.1).
 
     Parameters
@@ -274,9 +272,7 @@ def _matching_pieces(
     return old_piece, new_piece, partner
 
 
-def _rows(
-    cells: IndexArray, piece: IndexArray, wanted: BoolArray
-) -> tuple[IndexArray, IndexArray]:
+def _rows(cells: IndexArray, piece: IndexArray, wanted: BoolArray) -> tuple[IndexArray, IndexArray]:
     """Cells whose piece is wanted (a piece of -1 is not), with their piece."""
     rows = (piece >= 0) & wanted[piece]
     return cells[rows], piece[rows]

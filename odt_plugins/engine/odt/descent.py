@@ -123,14 +123,7 @@ def lbfgs_step(
 
     options: Any = {"maxiter": iterations, "maxfun": 5 * iterations, "ftol": 0.0, "gtol": 1e-12}
     run: Any = minimize
-    run(
-        value_and_slope,
-        valid[0],
-        jac=True,
-        method="L-BFGS-B",
-        callback=watch,
-        options=options,
-    )
+    run(value_and_slope, valid[0], jac=True, method="L-BFGS-B", callback=watch, options=options)
     accepted = place(valid[-1])
     objective = partial(energy, cells=cells, rho=rho_tau)
     if folded:

@@ -23,10 +23,7 @@ def cell_energies(points: FloatArray, cells: IntArray) -> FloatArray:
     """
     d = cells.shape[1] - 1
     scale = 1.0 / ((d + 1) * (d + 2))
-    values: FloatArray = (
-        scale * signed_volumes(points, cells) * squared_edge_sum(points, cells)
-    )
-    return values
+    return scale * signed_volumes(points, cells) * squared_edge_sum(points, cells)
 
 
 def energy(points: FloatArray, cells: IntArray, rho: CellDensity = 1.0) -> float:

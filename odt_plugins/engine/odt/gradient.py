@@ -23,9 +23,7 @@ def corner_sums(corner_values: FloatArray, cells: IntArray, n_points: int) -> Fl
     """Sum (m, d + 1, c) corner values into their vertices, (n, c)."""
     corners = cells.ravel()
     flat = corner_values.reshape(corners.size, -1)
-    columns = [
-        np.bincount(corners, flat[:, c], minlength=n_points) for c in range(flat.shape[1])
-    ]
+    columns = [np.bincount(corners, flat[:, c], minlength=n_points) for c in range(flat.shape[1])]
     return np.stack(columns, axis=1)
 
 

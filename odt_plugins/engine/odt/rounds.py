@@ -169,9 +169,7 @@ def position_step(
     return step(points, topology, rho, options, inverse_volume, omega)
 
 
-def held_to_bounds(
-    old: FloatArray, new: FloatArray, cells: IntArray, bounds: Bounds
-) -> FloatArray:
+def held_to_bounds(old: FloatArray, new: FloatArray, cells: IntArray, bounds: Bounds) -> FloatArray:
     """Take back the moves around cells that left the bounds, for steps that no finishing follows.
 
     Parameters
@@ -225,9 +223,7 @@ def exchange_pays(mesh: Complex) -> bool:
     return float(q[q < NO_CELL].mean()) < POLICY.flips_quality
 
 
-def local_flips(
-    mesh: Complex, bounds: Bounds, log: Log, pool: Pool | None
-) -> int:
+def local_flips(mesh: Complex, bounds: Bounds, log: Log, pool: Pool | None) -> int:
     """Flip towards Delaunay (Section 3.1): Lawson's edges in the plane, energy flips in space."""
     if mesh.dim == 2:
         from odt_plugins.engine.moves.flips2d import lawson_flips

@@ -195,8 +195,7 @@ def line_curvature(points: FloatArray, features: Features) -> FloatArray:
         return out
     step = points[nodes[1:]] - points[nodes[:-1]]
     length = np.sqrt((step * step).sum(axis=1))
-    tangent = np.divide(step, length[:, None], out=np.zeros_like(step),
-                        where=length[:, None] > 0.0)
+    tangent = np.divide(step, length[:, None], out=np.zeros_like(step), where=length[:, None] > 0.0)
     inner = features.kind[nodes[1:-1]] == LINE
     turn, share = np.zeros((len(nodes), 3)), np.zeros(len(nodes))
     turn[1:-1][inner] = (tangent[1:] - tangent[:-1])[inner]

@@ -41,9 +41,7 @@ def _surfaces(mesh: SimplexMesh | Outcome) -> dict[tuple[int, ...], IntArray]:
         (label,): rows[labels == label][:, [0, 1, 1]] for label in np.unique(labels).tolist()}
 
 
-def beyond(
-    mesh: SimplexMesh, outcome: Outcome, envelope: float
-) -> tuple[list[str], Slid]:
+def beyond(mesh: SimplexMesh, outcome: Outcome, envelope: float) -> tuple[list[str], Slid]:
     """What surfaces that were resized break: the envelope, or that they do not cross."""
     forward, backward = furthest(mesh, outcome, envelope)
     origin: Any = outcome.origin

@@ -86,12 +86,10 @@ def finished(
         stays=number[mesh.stays], lines=given.lines, metric=resized.metric,
     )
     lengths = given.lengths
-    options = replace(
-        options, density=NodalDensity(lengths / lengths.mean(), -float(mesh.dim + 2)))
+    options = replace(options, density=NodalDensity(lengths / lengths.mean(), -float(mesh.dim + 2)))
     if overrelaxes(options, mesh.dim):
         # the rounds of resizing have stirred enough
-        options = replace(
-            options, smoothing=replace(options.smoothing, omega=POLICY.overrelaxed))
+        options = replace(options, smoothing=replace(options.smoothing, omega=POLICY.overrelaxed))
 
     def as_it_leaves(outcome: Outcome) -> Outcome:
         left = leaving(replace(outcome, origin=_composed(origin, outcome.origin),

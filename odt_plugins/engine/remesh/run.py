@@ -337,9 +337,7 @@ def _allowed(mesh: SimplexMesh, options: Options) -> Figures:
     return relaxed(_figures(mesh), tuple(options.keep), 4)
 
 
-def _spoiled(
-    mesh: SimplexMesh, outcome: Outcome, sizes: Sizes, options: Options
-) -> BoolArray:
+def _spoiled(mesh: SimplexMesh, outcome: Outcome, sizes: Sizes, options: Options) -> BoolArray:
     """Cells (m,) of the input near cells that pass its extremes, or near triangles that cross."""
     keep, before = tuple(options.keep), _allowed(mesh, options)
     shapes = cell_shapes(*as_seen(outcome.points, outcome.cells, outcome.metric))
@@ -456,8 +454,7 @@ def _resized(
     values = LONGER * sizes.values[frame.vertices] * unit
     threads = worth(options.threads, max(len(mesh.cells), int(sizes.cells)))
     with thread_pool(threads) as pool:
-        field = make_density(
-            NodalDensity(values, 1.0), None, start.seen, start.cells, None)
+        field = make_density(NodalDensity(values, 1.0), None, start.seen, start.cells, None)
         reach = shares[frame.vertices] * (envelope_length(mesh, options) - mesh.sag) * frame.scale
         for coarse in (False, True):
             body, guard, scratch, names = lay_out(

@@ -183,9 +183,7 @@ def unique_edges(cells: IntArray) -> IntArray:
     return np.column_stack([key // n, key % n]).astype(np.int32)
 
 
-def lengths_of(
-    points: FloatArray, edges: IntArray, metric: FloatArray | None = None
-) -> FloatArray:
+def lengths_of(points: FloatArray, edges: IntArray, metric: FloatArray | None = None) -> FloatArray:
     """Lengths (e,) of edges, through the mean of the metric (n, k) of a metric at their ends."""
     pairs = edges
     if metric is not None and len(metric):
@@ -205,9 +203,7 @@ def local_sizes(mesh: SimplexMesh) -> FloatArray:
     return exp(smooth_over_stars(log(mean), mesh.cells, PASSES))
 
 
-def grown(
-    points: FloatArray, edges: IntArray, values: FloatArray, growth: float
-) -> FloatArray:
+def grown(points: FloatArray, edges: IntArray, values: FloatArray, growth: float) -> FloatArray:
     """The largest sizes below some that grow by less than (growth - 1) times the way.
 
     The size at a vertex is the least, over all vertices, of the size there and that growth along

@@ -32,9 +32,7 @@ def whole_edges(mesh: SimplexMesh, *, slides: bool) -> IntArray:
     return np.unique(np.concatenate([edges, unique_edges(surface)]), axis=0)
 
 
-def beside_whole(
-    mesh: SimplexMesh, sizes: Sizes, near: BoolArray, *, slides: bool
-) -> Sizes | None:
+def beside_whole(mesh: SimplexMesh, sizes: Sizes, near: BoolArray, *, slides: bool) -> Sizes | None:
     """Sizes no shorter than the input's at edges that are never cut; None where they are the same.
 
     Parameters

@@ -53,9 +53,7 @@ def best_state(
     return None, broken
 
 
-def input_returned(
-    mesh: SimplexMesh, memory: Memory, broken: list[str], reason: str
-) -> Outcome:
+def input_returned(mesh: SimplexMesh, memory: Memory, broken: list[str], reason: str) -> Outcome:
     """The input as the outcome, and why nothing better is handed back."""
     if not broken:
         outcome = unchanged(mesh, f"nothing could be improved ({reason})")

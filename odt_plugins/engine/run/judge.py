@@ -50,9 +50,7 @@ def envelope_length(mesh: SimplexMesh, options: Options) -> float:
     return options.envelope * diagonal(used)
 
 
-def measure_slide(
-    mesh: SimplexMesh, points: FloatArray, cells: IntArray, options: Options
-) -> Slid:
+def measure_slide(mesh: SimplexMesh, points: FloatArray, cells: IntArray, options: Options) -> Slid:
     """Measure the boundary of a result against that of the input, with certified distances.
 
     Parameters

@@ -131,9 +131,7 @@ def _end(work: Work, leaving: Leaving, reason: str) -> tuple[Outcome, IntArray]:
         found, broken = best_state(memory, partial(_judged, work, leaving), log, reason)
         outcome = found or input_returned(start.mesh, memory, broken, reason)
         sizes = sizes_after(start.mesh, work.options, start.frame, work.density, outcome, work.pool)
-    outcome = replace(
-        outcome, times=log.times, energy=log.energy, counts=log.counts, sizes=sizes
-    )
+    outcome = replace(outcome, times=log.times, energy=log.energy, counts=log.counts, sizes=sizes)
     if not work.slides or outcome.slid is not None:
         return outcome, np.zeros(0, dtype=np.int32)
     spoiled, more = memory.spoiled(), np.zeros(0, dtype=np.int32)
@@ -155,8 +153,7 @@ def _judged(work: Work, leaving: Leaving, state: State) -> tuple[Outcome, list[s
     if work.slides:
         from odt_plugins.engine.run.volumes import with_volumes
 
-        outcome = with_volumes(
-            start.mesh, outcome, work.options, work.within.sized or start.mesh)
+        outcome = with_volumes(start.mesh, outcome, work.options, work.within.sized or start.mesh)
     outcome = leaving(outcome)
     broken, slid = faults(
         start.mesh, outcome.points, outcome.cells, outcome.regions, work.options, outcome.origin,

@@ -50,9 +50,7 @@ def run_sliding(mesh: SimplexMesh, options: Options, once: Once) -> Outcome:
             return replace(outcome, times=dict(times))
         why = "a surface that slid gave less"
     reasons = "; ".join(reason for reason in (why, still.fallback) if reason)
-    return replace(
-        still, fallback=f"the boundary is left as it is; {reasons}", times=dict(times)
-    )
+    return replace(still, fallback=f"the boundary is left as it is; {reasons}", times=dict(times))
 
 
 def _may_be_beaten(outcome: Outcome, options: Options) -> bool:

@@ -93,9 +93,7 @@ class Volumes(NamedTuple):
         return np.asarray(self.goal - now)
 
 
-def volume_share(
-    mesh: SimplexMesh, options: Options, locked: BoolArray, least: float
-) -> float:
+def volume_share(mesh: SimplexMesh, options: Options, locked: BoolArray, least: float) -> float:
     """Part of the allowed change of the volume that may be lost, since it can be given back.
 
     All of it may be lost in one region, which then has to give it back.
@@ -194,9 +192,7 @@ def _regions_of(found: Heights, cells: IntArray, own: LongArray, n: int) -> Long
     return region[found.vertices]
 
 
-def _restored(
-    outcome: Outcome, volumes: Volumes, found: Heights, most: FloatArray
-) -> FloatArray:
+def _restored(outcome: Outcome, volumes: Volumes, found: Heights, most: FloatArray) -> FloatArray:
     """Points where vertices went out; where cells would be spoiled they stay."""
     touched = outcome.cells[np.isin(outcome.cells, found.vertices).any(axis=1)]
     if not len(touched):
@@ -215,9 +211,7 @@ def _restored(
     return outcome.points
 
 
-def _gone_out(
-    start: FloatArray, volumes: Volumes, found: Heights, most: FloatArray
-) -> FloatArray:
+def _gone_out(start: FloatArray, volumes: Volumes, found: Heights, most: FloatArray) -> FloatArray:
     """Points where vertices went out, or in where regions have gained, until these have their
     volumes: of a region all that help, by one part of their heights.
     """

@@ -208,9 +208,7 @@ def _slots(
     return make_complex(points, start.cells, start.regions, locked, boundary, skin, neighbors)
 
 
-def _figures_before(
-    start: Start, options: Options, within: Within, pool: Pool | None
-) -> Figures:
+def _figures_before(start: Start, options: Options, within: Within, pool: Pool | None) -> Figures:
     """Figures that no state may fall below: of the input, of the larger mesh, of what was valid."""
     mesh, whole = start.mesh, within.whole
     before = figures(start.seen, start.cells, options.objective, pool)

@@ -51,9 +51,7 @@ def make_skin(
         points, triangles, edges, vertex_stars(triangles, n), angle=angle, fixed=locked,
         kept=marked_edges(edges, lines, n),
     )
-    ground = make_ground(
-        points, triangles, edges, vertex_stars(triangles, n), features.edges
-    )
+    ground = make_ground(points, triangles, edges, vertex_stars(triangles, n), features.edges)
     sheet = make_sheet(points, triangles, edges, features)._replace(points=shared)
     limit = (POLICY.slide_guard * envelope) ** 2
     fan = np.full(n, -1, dtype=np.int32)
@@ -92,9 +90,7 @@ def skin_features(mesh: SimplexMesh, options: Options) -> tuple[IntArray, BoolAr
     return edges.vertices[features.edges], surface & (features.kind == LOCKED)
 
 
-def _budgets(
-    points: FloatArray, triangles: IntArray, smooth: BoolArray, most: float
-) -> FloatArray:
+def _budgets(points: FloatArray, triangles: IntArray, smooth: BoolArray, most: float) -> FloatArray:
     """Budgets of the change of the volume; the vertices' own are as the areas of their stars.
 
     On a surface with bumps and hollows the changes cancel in part, and the vertices may have more

@@ -29,9 +29,7 @@ RATIO = 4.0
 """Largest size over the smallest one."""
 
 
-def vertex_curvature(
-    points: FloatArray, triangles: IntArray, neighbors: IntArray
-) -> FloatArray:
+def vertex_curvature(points: FloatArray, triangles: IntArray, neighbors: IntArray) -> FloatArray:
     """Curvature sqrt(kappa_1^2 + kappa_2^2) at the vertices of a surface.
 
     Parameters
@@ -103,9 +101,7 @@ def _unit(vectors: FloatArray) -> FloatArray:
     return np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0.0)
 
 
-def curvature_density(
-    points: FloatArray, triangles: IntArray, neighbors: IntArray
-) -> FloatArray:
+def curvature_density(points: FloatArray, triangles: IntArray, neighbors: IntArray) -> FloatArray:
     """Density that makes triangles small where the surface is curved.
 
     Parameters

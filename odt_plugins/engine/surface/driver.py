@@ -157,9 +157,7 @@ def _run_until_kept(
         outcome, kept = _as_given(returned), first.kept
     else:
         outcome, kept = best.outcome, best.kept
-    return replace(
-        outcome, times=log.times, energy=log.energy, counts=log.counts, kept=kept
-    )
+    return replace(outcome, times=log.times, energy=log.energy, counts=log.counts, kept=kept)
 
 
 class Found(NamedTuple):
@@ -484,9 +482,7 @@ def _repaired(surface: Surface, strict: Extremes, memory: Memory, log: Log) -> b
     return False
 
 
-def _settle(
-    surface: Surface, phases: tuple[Phase, ...], bounds: Extremes, log: Log
-) -> None:
+def _settle(surface: Surface, phases: tuple[Phase, ...], bounds: Extremes, log: Log) -> None:
     """Run phases of stage 2 that are not left out, and count."""
     for phase in phases:
         if phase.name in log.without:

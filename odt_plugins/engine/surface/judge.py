@@ -146,9 +146,7 @@ def measured(mesh: SimplexMesh, kept: Kept, points: FloatArray, cells: IntArray)
             break
         tolerance *= TOLERANCE
     forward, backward = both.forward_upper, both.backward_upper
-    if forward > kept.envelope and within(
-        old, new.points, new.triangles, kept.envelope
-    ).all():
+    if forward > kept.envelope and within(old, new.points, new.triangles, kept.envelope).all():
         forward = kept.envelope
     if backward > kept.envelope and not uncovered(
         old, new.points, new.triangles, kept.envelope, new
@@ -157,9 +155,7 @@ def measured(mesh: SimplexMesh, kept: Kept, points: FloatArray, cells: IntArray)
     return Distance(forward, backward)
 
 
-def feet_on(
-    points: FloatArray, triangles: IntArray, x: FloatArray
-) -> tuple[IntArray, FloatArray]:
+def feet_on(points: FloatArray, triangles: IntArray, x: FloatArray) -> tuple[IntArray, FloatArray]:
     """Triangle and barycentric coordinates of the places of a surface closest to points x (k, 3).
 
     Returns
@@ -196,9 +192,7 @@ def barycentric(points: FloatArray, triangles: IntArray, x: FloatArray) -> Float
     return np.stack([1.0 - s - t, s, t], axis=1)
 
 
-def outside(
-    mesh: SimplexMesh, kept: Kept, points: FloatArray, cells: IntArray
-) -> BoolArray:
+def outside(mesh: SimplexMesh, kept: Kept, points: FloatArray, cells: IntArray) -> BoolArray:
     """Mark the vertices, (n,), near which a surface may break the promise.
 
     They are those around what may have left the envelope, cuts through the surface, folds back or

@@ -97,9 +97,7 @@ def mended(
     return None if found.any() else surface
 
 
-def _returned(
-    old: Pieces, new: Pieces, was: IntArray, now: IntArray, back: BoolArray
-) -> Pieces:
+def _returned(old: Pieces, new: Pieces, was: IntArray, now: IntArray, back: BoolArray) -> Pieces:
     """The result with the patches at some vertices, (n,) bool, as they were.
 
     The vertices of these patches join the others, in place.

@@ -107,14 +107,10 @@ def flip_all(
     return flip_edges(surface.sheet, surface.guards, cost, bounds, seeds, changed)
 
 
-def sweep(
-    surface: Surface, wanted: BoolArray, work: Callable[[IntArray, int, int], int]
-) -> int:
+def sweep(surface: Surface, wanted: BoolArray, work: Callable[[IntArray, int, int], int]) -> int:
     """Visit every wanted vertex that may move once, block after block."""
     coloring = vertex_coloring(surface.triangles, wanted & (surface.sheet.kind != LOCKED))
-    moves = sum(run_chunks(
-        surface.pool, surface.threads, coloring, partial(work, coloring.order)
-    ))
+    moves = sum(run_chunks(surface.pool, surface.threads, coloring, partial(work, coloring.order)))
     surface.sheet.check()
     return moves
 
@@ -150,9 +146,7 @@ class SurfaceDescent(TriangleDescent):
         """Flip from the seeds on."""
         return flip_all(self.surface, self.phase.cost, self.bounds, seeds, changed)
 
-    def compound_moves(
-        self, tried: BoolArray, excess: FloatArray
-    ) -> Callable[[IntArray], int]:
+    def compound_moves(self, tried: BoolArray, excess: FloatArray) -> Callable[[IntArray], int]:
         """What tries compound moves at some triangles."""
         sheet, guards = self.surface.sheet, self.surface.guards
         every = np.ones(len(self.cells), dtype=np.bool_)

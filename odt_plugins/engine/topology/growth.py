@@ -9,9 +9,7 @@ import numpy as np
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 
 
-def grown_along(
-    points: FloatArray, edges: IntArray, values: FloatArray, rate: float
-) -> FloatArray:
+def grown_along(points: FloatArray, edges: IntArray, values: FloatArray, rate: float) -> FloatArray:
     """The largest values (n,) below some, above 0, that grow by at most ``rate`` times the way.
 
     The shortest ways along edges (e, 2) from a node that is as far from every vertex as its value.

@@ -80,9 +80,7 @@ def _dot(a: FloatArray, b: FloatArray) -> float:
     return float((a * b).sum())
 
 
-def _scaled(
-    steps: deque[tuple[FloatArray, FloatArray, float]], slope: FloatArray
-) -> FloatArray:
+def _scaled(steps: deque[tuple[FloatArray, FloatArray, float]], slope: FloatArray) -> FloatArray:
     """The inverse Hessian, as far as it is known, times a gradient: the two loops."""
     way = slope.copy()
     if not steps:

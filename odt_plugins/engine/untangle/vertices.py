@@ -66,9 +66,7 @@ class Inserted(NamedTuple):
     source: LongArray
 
 
-def inserted(
-    points: FloatArray, mesh: SimplexMesh, bad: BoolArray, most: int
-) -> Inserted | None:
+def inserted(points: FloatArray, mesh: SimplexMesh, bad: BoolArray, most: int) -> Inserted | None:
     """Fill cavities around inverted or flat cells from new vertices; frozen cells stay.
 
     Parameters
@@ -123,9 +121,7 @@ def _grown(
     return now
 
 
-def _cavity(
-    points: FloatArray, cells: IntArray, neighbors: IntArray, numbers: list[int]
-) -> Cavity:
+def _cavity(points: FloatArray, cells: IntArray, neighbors: IntArray, numbers: list[int]) -> Cavity:
     """The place that is deepest in some cells: a linear program in its coordinates and depth."""
     from scipy.optimize import linprog
 
