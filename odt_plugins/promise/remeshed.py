@@ -23,15 +23,15 @@ from odt_plugins.promise.good import fallen_since
 from odt_plugins.promise.locked_facets import LockedFacets, facet_census
 from odt_plugins.promise.region_sizes import broken_sizes
 from odt_plugins.promise.volume import (
-    _came_and_went,
-    _dropped,
-    _malformed,
-    _moved,
-    _not_positive,
-    _overlapping,
-    _thawed,
     broken_promises,
+    came_and_went,
+    cells_not_positive,
+    changed_use,
     held_by,
+    malformed_arrays,
+    moved_though_held,
+    overlapping_facets,
+    thawed_cells,
 )
 
 
@@ -79,7 +79,7 @@ def broken_by_remeshing(
         broken = broken_promises(before, points, cells, regions, (), origin=origin, insert=share,
                                  threads=threads)
         return broken or fallen_since(before, points, cells, metric, keep)
-    broken = _malformed(before, points, cells, regions, origin)
+    broken = malformed_arrays(before, points, cells, regions, origin)
     if broken:
         return broken
     figures = cell_figures(points, cells, threads)
@@ -89,15 +89,15 @@ def broken_by_remeshing(
     held = {name: mask for name, mask in held_by(before).items()
             if name not in ("boundary", "interface")}
     new, overlaps = facet_census(cells, regions, len(points), uneven_facets(cells, len(points)))
-    bad = _not_positive(points, cells, figures)
+    bad = cells_not_positive(points, cells, figures)
     if len(bad):
         broken.append(f"cell {bad[0]} has volume {figures.volume[bad[0]]:.3g}, not positive "
                       f"({len(bad)} in all)")
-    broken += _came_and_went(before, numbered, removed, held, len(together))
-    broken += _moved(before, together, held, slides=True)
-    broken += _dropped(held["unused"], numbered, removed, len(together))
-    broken += _overlapping(overlaps)
-    broken += _thawed(before, numbered, regions, len(together))
+    broken += came_and_went(before, numbered, removed, held, len(together))
+    broken += moved_though_held(before, together, held, slides=True)
+    broken += changed_use(held["unused"], numbered, removed, len(together))
+    broken += overlapping_facets(overlaps)
+    broken += thawed_cells(before, numbered, regions, len(together))
     broken += fallen_since(before, points, cells, metric, keep, figures)
     old = facet_census(before.cells, before.regions, len(before.points), before.uneven)[0]
     was, now = _pieces(old, before.faces[1]), _pieces(new, faces[1])

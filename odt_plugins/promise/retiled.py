@@ -21,7 +21,7 @@ from odt_plugins.mesh.surface import Edges, opposed, surface_edges
 from odt_plugins.promise.faces import broken_lines
 from odt_plugins.promise.good import fallen_since
 from odt_plugins.promise.region_sizes import broken_sizes
-from odt_plugins.promise.volume import _not_positive
+from odt_plugins.promise.volume import cells_not_positive
 
 Shape = tuple[int, int]
 """Components and Euler characteristic."""
@@ -65,7 +65,7 @@ def broken_by_retiling(
     broken += _moved(before, points, cells, regions, origin, number)
     planar = points.shape[1] == 2
     if planar:
-        bad = _not_positive(points, cells, cell_figures(points, cells))
+        bad = cells_not_positive(points, cells, cell_figures(points, cells))
         if len(bad):
             broken.append(f"triangle {bad[0]} has no positive area, {len(bad)} in all")
     else:

@@ -77,7 +77,7 @@ def broken_promises(
     every place of the old domain is covered exactly once: the mapping degree says so. The
     volume of every region is compared all the same.
     """
-    broken = _malformed(before, points, cells, regions, origin)
+    broken = malformed_arrays(before, points, cells, regions, origin)
     if broken:
         return broken
     figures = cell_figures(points, cells, threads)
@@ -90,22 +90,22 @@ def broken_promises(
         points = in_old_numbers(before.points, points, origin)
         cells = old_numbers(origin, len(before.points))[cells]
         most = most_vertices(len(np.unique(before.cells)), insert)
-        broken += _came_and_went(before, cells, removed, held, most)
+        broken += came_and_went(before, cells, removed, held, most)
     now_locked, overlaps = facet_census(
         cells, regions, len(points), uneven_facets(cells, len(points), threads)
     )
-    bad = _not_positive(points, cells, figures)
+    bad = cells_not_positive(points, cells, figures)
     if len(bad):
         broken.append(f"cell {bad[0]} has {_size(before)} {figures.volume[bad[0]]:.3g}, "
                       f"not positive ({len(bad)} in all)")
-    broken += _moved(before, points, held, slides=slides)
-    broken += _dropped(held["unused"], cells, removed, len(points))
-    broken += _overlapping(overlaps)
+    broken += moved_though_held(before, points, held, slides=slides)
+    broken += changed_use(held["unused"], cells, removed, len(points))
+    broken += overlapping_facets(overlaps)
     broken += _torn(locked, now_locked, slides=slides)
     if slides:
         broken += _resewn(locked, now_locked, held, len(points))
     broken += _volume_changed(before, points, cells, regions, slides=slides, threads=threads)
-    broken += _thawed(before, cells, regions, len(points))
+    broken += thawed_cells(before, cells, regions, len(points))
     if keep:
         was = as_seen(before.points, before.cells, before.metric)
         old = before_summary or summarize(*was, cell_figures(*was, threads))
@@ -117,7 +117,7 @@ def broken_promises(
     return broken
 
 
-def _not_positive(
+def cells_not_positive(
     points: NDArray[np.float64], cells: NDArray[np.int32], figures: CellFigures
 ) -> NDArray[np.intp]:
     """Cells without positive volume, exactly where rounding may have made the sign."""
@@ -173,9 +173,10 @@ def _locked_before(mesh: SimplexMesh, labels: NDArray[np.int32]) -> LockedFacets
     return facet_census(mesh.cells, labels, len(mesh.points), mesh.uneven)[0]
 
 
-def _malformed(
+def malformed_arrays(
     before: SimplexMesh, points: Any, cells: Any, regions: Any, origin: Any
 ) -> list[str]:
+    """Look for arrays that make no mesh: shapes, numbers that are not finite, wrong indices."""
     n, d = before.points.shape
     if origin is not None:
         kept = origin[origin >= 0]
@@ -197,7 +198,7 @@ def _malformed(
     return []
 
 
-def _moved(
+def moved_though_held(
     before: SimplexMesh, points: NDArray[np.float64], held: dict[str, NDArray[np.bool_]],
     *, slides: bool,
 ) -> list[str]:
@@ -213,7 +214,7 @@ def _moved(
     return sentences
 
 
-def _came_and_went(
+def came_and_went(
     before: SimplexMesh, cells: NDArray[np.int32], removed: NDArray[np.int64],
     held: dict[str, NDArray[np.bool_]], most: int,
 ) -> list[str]:
@@ -229,9 +230,10 @@ def _came_and_went(
     return sentences
 
 
-def _dropped(
+def changed_use(
     unused: NDArray[np.bool_], cells: NDArray[np.int32], removed: NDArray[np.int64], n_points: int
 ) -> list[str]:
+    """Look for vertices that came into use or out of it, and added ones without use."""
     n = len(unused)
     was = ~unused
     was[removed] = False
@@ -250,7 +252,7 @@ def _dropped(
     return sentences
 
 
-def _overlapping(facets: NDArray[Any]) -> list[str]:
+def overlapping_facets(facets: NDArray[Any]) -> list[str]:
     """Tell of the facets that two cells claim from the same side."""
     if not len(facets):
         return []
@@ -379,7 +381,9 @@ def _volume_per_label(
     return volume / (2 if d == 2 else 6), rounding
 
 
-def _thawed(before: SimplexMesh, cells: NDArray[Any], regions: NDArray[Any], n: int) -> list[str]:
+def thawed_cells(
+    before: SimplexMesh, cells: NDArray[Any], regions: NDArray[Any], n: int
+) -> list[str]:
     """Look every frozen cell up, with its label."""
     frozen = before.frozen
     if not frozen.any():
