@@ -138,6 +138,8 @@ def _in_space(mesh: Any) -> NDArray[Any]:
 
 def _difference(old: NDArray[Any], new: NDArray[Any], *, ordered: bool) -> int:
     """How much values differ: 0 not at all, 1 by rounding, 2 otherwise; in any order if need be."""
+    if old.dtype.kind == "c" and new.dtype.kind == "f":
+        old = np.stack([old.real, old.imag], axis=-1)
     if old.size != new.size or old.dtype.kind not in "biufc" or new.dtype.kind not in "biufc":
         return 2 * (old.size != new.size or not np.array_equal(old.astype(str).ravel(),
                                                                new.astype(str).ravel()))

@@ -32,6 +32,8 @@ class Form(NamedTuple):
     vertices : bool        whether it holds vertices as cells
     lines : bool           whether it holds lines as cells
     bent : bool            whether it holds lines with a node between their ends
+    kinds : str            types of numbers and texts in arrays, by the letters of NumPy
+    vectors : bool         whether arrays may have several numbers for each point or cell
     """
 
     label: str | None = None
@@ -44,22 +46,24 @@ class Form(NamedTuple):
     vertices: bool = True
     lines: bool = True
     bent: bool = True
+    kinds: str = "biuf"
+    vectors: bool = True
 
 
-EVERYTHING = Form(sets=True, text=True)
+EVERYTHING = Form(sets=True, text=True, kinds="biufUS")
 
 FORMS = {
     "abaqus": Form(points=False, cells=False, blocks=True, sets=True, vertices=False,
                    bent=False),
     "avsucd": Form("avsucd:material", cells=False),
     "cgns": Form(points=False, cells=False, beside=False),
-    "dolfin-xml": Form(points=False, beside=False),
+    "dolfin-xml": Form(points=False, beside=False, kinds="iuf", vectors=False),
     "exodus": Form("exodus:block", blocks=True, sets=True),
     "flac3d": Form(points=False, cells=False, sets=True, text=True, vertices=False, lines=False),
     "gmsh": Form(blocks=True, sets=True, text=True),
     "gmsh22": Form(blocks=True, text=True),
     "h5m": Form(cells=False),
-    "hmf": Form(),
+    "hmf": Form(kinds="biufc"),
     "mdpa": Form(bent=False),
     "med": Form("cell_tags", sets=True),
     "medit": Form("medit:ref", points=False, cells=False, vertices=False),
@@ -71,13 +75,13 @@ FORMS = {
     "permas": Form(points=False, cells=False, blocks=True),
     "stl": Form(points=False, beside=False, blocks=True, sets=True, text=True),
     "su2": Form("su2:tag", points=False, cells=False, vertices=False),
-    "tecplot": Form(beside=False),
+    "tecplot": Form(beside=False, kinds="iuf", vectors=False),
     "tetgen": Form("tetgen:ref", points=False, cells=False, vertices=False),
     "ugrid": Form("ugrid:ref", points=False, cells=False, vertices=False, lines=False),
     "vtk": EVERYTHING,
     "vtp": EVERYTHING,
     "vtu": EVERYTHING,
-    "xdmf": Form(),
+    "xdmf": Form(kinds="iuf"),
 }
 """Formats by their name in meshio; of those that are not here meshio is given all there is."""
 
@@ -88,6 +92,9 @@ MAIN = ("tetra", "triangle")
 
 WIDTHS = (1, 3, 9)
 """Numbers that Gmsh's arrays may have for each point or cell."""
+
+XDMF = (1, 2, 3, 6, 9)
+"""Numbers of the values of XDMF that have a name; others are matrices."""
 
 NETGEN = "netgen:index"
 """Labels of cells of Netgen's files, which have the names of materials."""
@@ -118,8 +125,15 @@ def fitted(mesh: Any, name: str) -> tuple[Any, list[str]]:
         return mesh.copy(), []
     out = mesh.copy()
     lost = []
-    out.point_data = {key: _column(values) for key, values in out.point_data.items()}
-    out.cell_data = {key: [*map(_column, values)] for key, values in out.cell_data.items()}
+    out.point_data = {key: array for key, values in out.point_data.items()
+                      if (array := _held(values, name, form)) is not None}
+    parts = {key: [_held(part, name, form) for part in values]
+             for key, values in out.cell_data.items()}
+    out.cell_data = {key: arrays for key, arrays in parts.items()
+                     if all(array is not None for array in arrays)}
+    if form is EVERYTHING:
+        out.field_data = {key: array for key, values in out.field_data.items()
+                          if (array := _held(np.atleast_1d(values), name, form)) is not None}
     if name in TETRAHEDRA and not any(block.type in TETRAHEDRA[name] for block in out.cells):
         msg = f"it holds no cells of type {', '.join(sorted({b.type for b in out.cells}))}"
         raise UnsupportedMeshError(msg)
@@ -179,10 +193,23 @@ def fitted(mesh: Any, name: str) -> tuple[Any, list[str]]:
     return out, lost
 
 
-def _column(values: Any) -> NDArray[Any]:
-    """Values (n,) of an array (n, 1), any other one as it is."""
+def _held(values: Any, name: str, form: Form) -> NDArray[Any] | None:
+    """Values in a type and a shape that a format holds, (n,) of (n, 1); None where it has none."""
     array = np.asarray(values)
-    return array[:, 0] if array.ndim == 2 and array.shape[1] == 1 else array
+    if form is EVERYTHING and array.dtype.kind == "c":
+        array = np.stack([array.real, array.imag], axis=-1)
+    kind, size = array.dtype.kind, array.dtype.itemsize
+    if kind == "f" and size not in (4, 8):
+        array = array.astype(np.float32 if size < 4 else np.float64)
+    if kind == "b" and "b" not in form.kinds:
+        array, kind = array.astype(np.uint8), "u"
+    width = _width(array)
+    if kind not in form.kinds or not width or (width > 1 and not form.vectors):
+        return None
+    if name == "xdmf" and width not in XDMF:
+        return array.reshape(len(array), width, 1)
+    whole = width > 1 and (array.ndim == 2 or name in ("hmf", "xdmf"))
+    return array if whole else array.reshape((len(array), width) if width > 1 else -1)
 
 
 def _choose(mesh: Any, chosen: list[int]) -> None:

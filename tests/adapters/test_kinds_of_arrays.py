@@ -1,0 +1,87 @@
+"""Arrays of a type or a width that a format has not: they become others or go."""
+
+from __future__ import annotations
+
+import warnings
+
+import meshio
+import numpy as np
+import pytest
+
+from odt_plugins.adapters.files import read_file, write_file
+
+KINDS = {
+    "half": lambda k: np.linspace(0, 1, k).astype(np.float16),
+    "long": lambda k: np.linspace(0, 1, k).astype(np.longdouble),
+    "truth": lambda k: np.arange(k) % 3 == 0,
+    "text": lambda k: np.array([f"part {i % 3}" for i in range(k)]),
+    "complex": lambda k: np.linspace(0, 1, k) + 2j,
+    "four": lambda k: np.arange(4.0 * k).reshape(k, 4),
+    "tensor": lambda k: np.arange(9.0 * k).reshape(k, 3, 3),
+    "none": lambda k: np.zeros((k, 0)),
+    "object": lambda k: np.array([{}] * k),
+}
+
+SUFFIXES = (".vtu", ".vtk", ".msh", ".xdmf", ".med", ".avs", ".e", ".h5m", ".hmf", ".dat", ".xml")
+
+GOES = {
+    "text": SUFFIXES[2:], "complex": SUFFIXES[2:8] + SUFFIXES[9:], "none": SUFFIXES,
+    "object": SUFFIXES,
+}
+"""Where arrays of these kinds must go."""
+
+
+def mesh_with(kind):
+    points = np.random.default_rng(3).random((5, 3))
+    points[:4] = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]
+    points[4] = [1, 1, 1]
+    cells = np.array([[0, 1, 2, 3], [1, 2, 3, 4]])
+    return meshio.Mesh(points, [("tetra", cells)], {"at_points": KINDS[kind](5)},
+                       {"at_cells": [KINDS[kind](2)]})
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+@pytest.mark.parametrize("kind", KINDS)
+def test_an_array_that_a_format_has_no_type_for_does_not_stop_the_file(kind, suffix, tmp_path):
+    mesh, path = mesh_with(kind), tmp_path / f"out{suffix}"
+    with warnings.catch_warnings(record=True) as heard:
+        warnings.simplefilter("always")
+        write_file(path, mesh)
+    said = " ".join(str(one.message) for one in heard)
+    back = read_file(path)
+    assert sum(len(block.data) for block in back.cells) == 2
+    for name, values, there in (("at_points", mesh.point_data["at_points"], back.point_data),
+                                ("at_cells", mesh.cell_data["at_cells"][0], back.cell_data)):
+        if name not in there or suffix in GOES.get(kind, ()):
+            assert name not in there
+            assert f"'{name}'" in said
+            continue
+        found = np.asarray(there[name] if name == "at_points" else there[name][0])
+        if kind == "text":
+            assert found.tolist() == values.tolist()
+            continue
+        if kind == "complex" and found.dtype.kind != "c":
+            values = np.stack([values.real, values.imag], axis=-1)
+        rounded = 1e-3 if kind == "half" else 1e-12
+        assert np.allclose(found.reshape(values.shape), values.astype(found.dtype), atol=rounded)
+
+
+@pytest.mark.parametrize("kind", ["truth", "four"])
+def test_xdmf_of_truth_values_and_colours_is_read_by_meshio(kind, tmp_path):
+    write_file(tmp_path / "out.xdmf", mesh_with(kind))
+    back = meshio.read(tmp_path / "out.xdmf")
+    assert np.array_equal(back.point_data["at_points"].reshape(5, -1),
+                          np.reshape(KINDS[kind](5), (5, -1)))
+
+
+def test_a_tensor_of_gmsh_is_read_by_gmsh(tmp_path):
+    gmsh = pytest.importorskip("gmsh")
+    write_file(tmp_path / "out.msh", mesh_with("tensor"))
+    gmsh.initialize()
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        gmsh.open(str(tmp_path / "out.msh"))
+        values = gmsh.view.getModelData(gmsh.view.getTags()[0], 0)[2]
+        assert np.array_equal(np.ravel(values), np.arange(45.0))
+    finally:
+        gmsh.finalize()
