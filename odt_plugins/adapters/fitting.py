@@ -99,6 +99,9 @@ XDMF = (1, 2, 3, 6, 9)
 NETGEN = "netgen:index"
 """Labels of cells of Netgen's files, which have the names of materials."""
 
+BARRED = {"dolfin-xml": "/", "h5m": "/", "hmf": "/", "med": "/", "tecplot": '"\n'}
+"""Letters that names of arrays cannot have in a format, where these are not ends of lines."""
+
 TETRAHEDRA = {"cgns": ("tetra",), "flac3d": ("tetra",), "tetgen": ("tetra", "tetra10")}
 """Formats of cells in space only, and which of these they hold."""
 
@@ -125,14 +128,15 @@ def fitted(mesh: Any, name: str) -> tuple[Any, list[str]]:
         return mesh.copy(), []
     out = mesh.copy()
     lost = []
-    out.point_data = {key: array for key, values in out.point_data.items()
+    barred = "" if form is EVERYTHING else BARRED.get(name, "\n")
+    out.point_data = {_title(key, barred): array for key, values in out.point_data.items()
                       if (array := _held(values, name, form)) is not None}
-    parts = {key: [_held(part, name, form) for part in values]
+    parts = {_title(key, barred): [_held(part, name, form) for part in values]
              for key, values in out.cell_data.items()}
     out.cell_data = {key: arrays for key, arrays in parts.items()
                      if all(array is not None for array in arrays)}
     if form is EVERYTHING:
-        out.field_data = {key: array for key, values in out.field_data.items()
+        out.field_data = {_title(key, barred): array for key, values in out.field_data.items()
                           if (array := _held(np.atleast_1d(values), name, form)) is not None}
     if name in TETRAHEDRA and not any(block.type in TETRAHEDRA[name] for block in out.cells):
         msg = f"it holds no cells of type {', '.join(sorted({b.type for b in out.cells}))}"
@@ -191,6 +195,11 @@ def fitted(mesh: Any, name: str) -> tuple[Any, list[str]]:
     if name in ("obj", "off", "ugrid") and out.points.shape[1] == 2:
         out.points = np.pad(out.points, ((0, 0), (0, 1)))
     return out, lost
+
+
+def _title(name: str, barred: str) -> str:
+    """A name without barred letters, and not empty."""
+    return "".join("_" if letter in barred else letter for letter in name) or "unnamed"
 
 
 def _held(values: Any, name: str, form: Form) -> NDArray[Any] | None:

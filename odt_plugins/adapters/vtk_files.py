@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from functools import partial
+from html import escape
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -132,8 +133,7 @@ def write_and_read(path: Path, mesh: Any, name: str, binary: bool | None = None)
     Returns
     -------
     back : meshio.Mesh    what VTK reads
-    said : str            how that differs from what meshio reads; empty when it does not, or
-                          when meshio does not know something in the file
+    said : str            how that differs from what meshio reads, if it knows all in the file
 
     Raises
     ------
@@ -154,6 +154,8 @@ def write_and_read(path: Path, mesh: Any, name: str, binary: bool | None = None)
         source.SetFileName(str(like.path))
         if not _run(source):
             _as_before(dataset, source.GetOutput())
+    if name != "vtk":
+        _escape(dataset)
     sink.SetInputData(dataset)
     said = _run(sink)
     if said or not path.is_file():
@@ -162,6 +164,14 @@ def write_and_read(path: Path, mesh: Any, name: str, binary: bool | None = None)
         write_exactly(path, partial(_values, dataset))
     back, _ = as_mesh(read(path, name))
     return back, "" if name == "vtp" else _second_look(path, name, back)
+
+
+def _escape(dataset: Any) -> None:
+    """Write names as XML has them, which VTK does not do."""
+    for home in ("Point", "Cell", "Field"):
+        data = getattr(dataset, f"Get{home}Data")()
+        for array in map(data.GetAbstractArray, range(data.GetNumberOfArrays())):
+            array.SetName(escape(array.GetName()))
 
 
 def _values(dataset: Any, home: str, name: str) -> NDArray[Any] | None:

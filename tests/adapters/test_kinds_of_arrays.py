@@ -85,3 +85,28 @@ def test_a_tensor_of_gmsh_is_read_by_gmsh(tmp_path):
         assert np.array_equal(np.ravel(values), np.arange(45.0))
     finally:
         gmsh.finalize()
+
+
+NAMES = ("p/rho", "T<T0 & \"x\"", "")
+
+
+@pytest.mark.parametrize("suffix", [*SUFFIXES, ".vtp"])
+@pytest.mark.parametrize("name", NAMES)
+def test_a_name_that_a_format_cannot_have_becomes_another(name, suffix, tmp_path):
+    mesh = mesh_with("truth")
+    mesh.point_data, mesh.cell_data = {name: np.arange(5.0)}, {name: [np.arange(2.0)]}
+    if suffix == ".vtp":
+        mesh.cells[0] = meshio.CellBlock("triangle", mesh.cells[0].data[:, :3])
+    with warnings.catch_warnings(record=True) as heard:
+        warnings.simplefilter("always")
+        write_file(tmp_path / f"out{suffix}", mesh)
+    back = read_file(tmp_path / f"out{suffix}")
+    said = " ".join(str(one.message) for one in heard)
+    for there, what in ((back.point_data, "point data"), (back.cell_data, "cell data")):
+        assert name in there or f"{what} {name!r}" in said
+    if suffix in (".vtu", ".vtp"):
+        assert {name or "unnamed"} == set(back.point_data)
+        assert {name or "unnamed"} == set(meshio.read(tmp_path / f"out{suffix}").point_data
+                                          if suffix == ".vtu" else back.point_data)
+    if suffix == ".med":
+        assert len(back.point_data) == 1
