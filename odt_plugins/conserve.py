@@ -118,13 +118,13 @@ def conserved(
 
 
 def _columns(arrays: Mapping[str, NDArray[Any]], count: int) -> _Columns:
-    """Those that are finite, complex ones as two numbers each."""
+    """Those that are finite and not empty, complex ones as two numbers each."""
     parts, names, last = [], {}, 0
     for name, values in arrays.items():
         wide = values.reshape(len(values), -1)
         wide = np.ascontiguousarray(wide, dtype=np.result_type(wide, np.float64))
         part = wide.view(np.float64)
-        if np.isfinite(part).all():
+        if part.shape[1] and np.isfinite(part).all():
             parts.append(part)
             names[name] = slice(last, last + part.shape[1])
             last += part.shape[1]

@@ -320,3 +320,14 @@ def test_what_has_no_exact_overlaps_is_refused(tmp_path):
         odt_plugins.refine(mesh, 1, fields="conserve")
     with pytest.raises(InvalidOptionError, match="fields='conserve' for a mesh in pieces"):
         odt_plugins.optimize(str(tmp_path), target=str(tmp_path / "a.pvtu"), fields="conserve")
+
+
+@pytest.mark.parametrize("run", [odt_plugins.optimize, odt_plugins.remesh])
+def test_empty_arrays_come_back_empty(run):
+    points = np.random.default_rng(5).random((60, 2))
+    cells = Delaunay(points).simplices
+    mesh = meshio.Mesh(points, [("triangle", cells)], {"none": np.zeros((len(points), 0))},
+                       {"none": [np.zeros((len(cells), 0))]})
+    better = run(mesh, fields="conserve", **({} if run is odt_plugins.optimize else {"scale": 0.8}))
+    assert better.point_data["none"].shape == (len(better.points), 0)
+    assert better.cell_data["none"][0].shape == (len(better.cells[0].data), 0)
