@@ -36,8 +36,8 @@ def not_kept(mesh: Any, back: Any) -> list[str]:
         lost.append("the last digits of the coordinates")
     groups = group_names(mesh)
     families = {name for names in getattr(back, "cell_tags", {}).values() for name in names}
-    homes = (back.cell_sets, back.field_data, families)
-    named = any(groups <= set(home) for home in homes)
+    missing = groups - {*back.cell_sets, *back.field_data, *families}
+    missing -= {name for name in back.point_sets if name not in mesh.point_sets}
     for kind in ("point_data", "cell_data", "field_data", "point_sets", "cell_sets"):
         old, new = getattr(mesh, kind), getattr(back, kind)
         what = kind.replace("_", " ")
@@ -48,7 +48,7 @@ def not_kept(mesh: Any, back: Any) -> list[str]:
             gone -= {*FAMILIES}
         if gmsh_tables.PHYSICAL in mesh.cell_data:
             gone -= {gmsh_tables.ENTITY}
-            gone -= {gmsh_tables.PHYSICAL} if groups and groups <= set(back.cell_sets) else set()
+            gone -= {gmsh_tables.PHYSICAL} if groups & set(back.cell_sets) else set()
         for name in sorted(gone if kind in ("point_data", "cell_data") else ()):
             values = _by_type(mesh, old[name])
             others = {n: _by_type(back, new[n]) for n in sorted(set(new) - set(old))}
@@ -72,8 +72,8 @@ def not_kept(mesh: Any, back: Any) -> list[str]:
                         + " (arrays of 0 and 1 there)" * arrays)
     if _periodic(mesh) and not _periodic(back):
         lost.append("which points of periodic faces correspond")
-    if not named:
-        lost.append(f"the names of the groups {', '.join(map(repr, sorted(groups)))}")
+    if missing:
+        lost.append(f"the names of the groups {', '.join(map(repr, sorted(missing)))}")
     return lost + renamed
 
 

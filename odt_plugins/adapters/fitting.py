@@ -67,7 +67,7 @@ FORMS = {
     "mdpa": Form(bent=False),
     "med": Form("cell_tags", sets=True),
     "medit": Form("medit:ref", points=False, cells=False, vertices=False),
-    "nastran": Form("nastran:ref", points=False, cells=False, bent=False),
+    "nastran": Form("nastran:ref", points=False, cells=False, vertices=False, bent=False),
     "netgen": Form("netgen:index", points=False, cells=False),
     "obj": Form(beside=False, blocks=True),
     "off": Form(beside=False, blocks=True),
@@ -150,6 +150,8 @@ def fitted(mesh: Any, name: str) -> tuple[Any, list[str]]:
     for kind, held in (("vertex", form.vertices), ("line", form.lines), ("line3", form.bent)):
         count = sum(len(b.data) for b in out.cells if b.type == kind)
         if count and not held:
+            if kind == "vertex" and form.sets:
+                out.point_sets = _points_of(out) | out.point_sets
             lost.append(f"{count} cells of type {kind}")
             _choose(out, [i for i, b in enumerate(out.cells) if b.type != kind])
     _reorder(out, form)
@@ -271,6 +273,17 @@ def _merge(mesh: Any) -> None:
                       for name, values in mesh.cell_data.items()}
     mesh.cells = [CellBlock(kind, np.concatenate([mesh.cells[i].data for i in group]))
                   for (kind, _), group in groups.items()]
+
+
+def _points_of(mesh: Any) -> dict[str, NDArray[np.int64]]:
+    """Point sets of the named groups and the sets that have vertices as cells."""
+    found = {}
+    for name, members in (_named_groups(mesh) | mesh.cell_sets).items():
+        nodes = [np.asarray(block.data)[indices(rows), 0] for block, rows in
+                 zip(mesh.cells, members, strict=True) if block.type == "vertex"]
+        if sum(map(len, nodes)):
+            found[name] = np.unique(np.concatenate(nodes))
+    return found
 
 
 def _named_groups(mesh: Any) -> dict[str, list[Any]]:

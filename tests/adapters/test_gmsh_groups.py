@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import meshio
 import numpy as np
 import pytest
 from gmsh_sessions import session
@@ -114,3 +115,21 @@ def test_groups_of_the_same_name_stay_apart(gmsh, binary, version, tmp_path):
         assert volumes(gmsh, target) == expected
     write_file(tmp_path / "b.inp", mesh)
     assert {"wall", "wall (3D)"} <= {*read_file(tmp_path / "b.inp").cell_sets}
+
+
+@pytest.mark.parametrize("suffix", [".inp", ".bdf", ".f3grid"])
+def test_a_physical_point_does_not_stop_decks_and_is_a_node_set_in_abaqus(suffix, tmp_path):
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    mesh = meshio.Mesh(
+        points, [("vertex", np.array([[2]])), ("triangle", np.array([[0, 1, 2]])),
+                 ("tetra", np.array([[0, 1, 2, 3]]))],
+        cell_data={"gmsh:physical": [np.array([7]), np.array([8]), np.array([9])]},
+        field_data={"pin": np.array([7, 0]), "wall": np.array([8, 2]), "body": np.array([9, 3])})
+    with pytest.warns(DataNotKeptWarning, match="1 cells of type vertex") as heard:
+        write_file(tmp_path / f"out{suffix}", mesh)
+    assert len(heard) == 1
+    if suffix == ".inp":
+        assert "groups" not in str(heard[0].message)
+        back = meshio.read(tmp_path / "out.inp")
+        assert back.points[back.point_sets["pin"]].tolist() == [[0.0, 1.0, 0.0]]
+        assert {"wall", "body"} <= set(back.cell_sets)
