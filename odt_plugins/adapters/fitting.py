@@ -62,9 +62,9 @@ FORMS = {
     "flac3d": Form(points=False, cells=False, sets=True, text=True, vertices=False, lines=False),
     "gmsh": Form(blocks=True, sets=True, text=True),
     "gmsh22": Form(blocks=True, text=True),
-    "h5m": Form(cells=False),
+    "h5m": Form(cells=False, vertices=False),
     "hmf": Form(kinds="biufc"),
-    "mdpa": Form(bent=False),
+    "mdpa": Form(vertices=False, bent=False),
     "med": Form("cell_tags", sets=True),
     "medit": Form("medit:ref", points=False, cells=False, vertices=False),
     "nastran": Form("nastran:ref", points=False, cells=False, vertices=False, bent=False),
@@ -102,8 +102,16 @@ NETGEN = "netgen:index"
 BARRED = {"dolfin-xml": "/", "h5m": "/", "hmf": "/", "med": "/", "tecplot": '"\n'}
 """Letters that names of arrays cannot have in a format, where these are not ends of lines."""
 
-TETRAHEDRA = {"cgns": ("tetra",), "flac3d": ("tetra",), "tetgen": ("tetra", "tetra10")}
-"""Formats of cells in space only, and which of these they hold."""
+LINEAR = ("tetra", "triangle")
+
+FACES = ("triangle", "quad", "polygon")
+
+HELD = {
+    "cgns": ("tetra",), "flac3d": ("tetra",), "tetgen": ("tetra", "tetra10"),
+    **dict.fromkeys(("avsucd", "dolfin-xml", "h5m", "medit", "su2", "tecplot", "ugrid"), LINEAR),
+    **dict.fromkeys(("obj", "off", "ply", "stl"), FACES),
+}
+"""Formats without some cells of this package, and which of the greatest dimension they hold."""
 
 
 def fitted(mesh: Any, name: str) -> tuple[Any, list[str]]:
@@ -121,7 +129,7 @@ def fitted(mesh: Any, name: str) -> tuple[Any, list[str]]:
 
     Raises
     ------
-    UnsupportedMeshError    the format holds tetrahedra only, and there are none
+    UnsupportedMeshError    the format holds none of the cells of the greatest dimension
     """
     form = FORMS.get(name)
     if form is None:
@@ -138,8 +146,10 @@ def fitted(mesh: Any, name: str) -> tuple[Any, list[str]]:
     if form is EVERYTHING:
         out.field_data = {_title(key, barred): array for key, values in out.field_data.items()
                           if (array := _held(np.atleast_1d(values), name, form)) is not None}
-    if name in TETRAHEDRA and not any(block.type in TETRAHEDRA[name] for block in out.cells):
-        msg = f"it holds no cells of type {', '.join(sorted({b.type for b in out.cells}))}"
+    dim = max((block.dim for block in out.cells), default=0)
+    kinds = {block.type for block in out.cells if block.dim == dim and len(block.data)}
+    if name in HELD and not kinds & {*HELD[name]}:
+        msg = f"it holds no cells of type {', '.join(sorted(kinds))}"
         raise UnsupportedMeshError(msg)
     if not form.beside:
         main = next((kind for kind in MAIN if any(b.type == kind for b in out.cells)), None)
@@ -147,7 +157,8 @@ def fitted(mesh: Any, name: str) -> tuple[Any, list[str]]:
         lost = [f"{sum(len(b.data) for b in out.cells if b.type == kind)} cells of type {kind}"
                 for kind in sorted(kinds)]
         _choose(out, [i for i, b in enumerate(out.cells) if main in (None, b.type)])
-    for kind, held in (("vertex", form.vertices), ("line", form.lines), ("line3", form.bent)):
+    lines = form.lines and (name, dim) != ("su2", 3)
+    for kind, held in (("vertex", form.vertices), ("line", lines), ("line3", form.bent)):
         count = sum(len(b.data) for b in out.cells if b.type == kind)
         if count and not held:
             if kind == "vertex" and form.sets:
@@ -159,9 +170,9 @@ def fitted(mesh: Any, name: str) -> tuple[Any, list[str]]:
         return _with_tags(out, name), lost
     named = _named_groups(out)
     out.gmsh_periodic = None
-    for array in BOOKKEEPING if form is not EVERYTHING else BOOKKEEPING[1:]:
-        out.point_data.pop(array, None)
-        out.cell_sets.pop(array, None)
+    for own in BOOKKEEPING if form is not EVERYTHING else BOOKKEEPING[1:]:
+        out.point_data.pop(own, None)
+        out.cell_sets.pop(own, None)
     if named and not form.sets:
         out.cell_sets = {}
     elif form.cells and name not in LABELLED:

@@ -9,7 +9,7 @@ from gmsh_sessions import session
 
 from odt_plugins.adapters.files import read_file, write_file
 from odt_plugins.api import optimize_file
-from odt_plugins.errors import DataNotKeptWarning
+from odt_plugins.errors import DataNotKeptWarning, MeshFileError
 
 
 @pytest.fixture
@@ -133,3 +133,27 @@ def test_a_physical_point_does_not_stop_decks_and_is_a_node_set_in_abaqus(suffix
         back = meshio.read(tmp_path / "out.inp")
         assert back.points[back.point_sets["pin"]].tolist() == [[0.0, 1.0, 0.0]]
         assert {"wall", "body"} <= set(back.cell_sets)
+
+
+POINTS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+
+
+@pytest.mark.parametrize("suffix", [".su2", ".h5m", ".mdpa"])
+def test_points_and_lines_that_a_format_lacks_are_left_out_by_number(suffix, tmp_path):
+    mesh = meshio.Mesh(POINTS, [("vertex", np.array([[2]])), ("line", np.array([[0, 1]])),
+                                ("triangle", np.array([[0, 1, 2]])),
+                                ("tetra", np.array([[0, 1, 2, 3]]))])
+    with pytest.warns(DataNotKeptWarning, match="1 cells of type vertex"):
+        write_file(tmp_path / f"out{suffix}", mesh)
+    there = {block.type for block in read_file(tmp_path / f"out{suffix}").cells}
+    assert {"tetra", "triangle"} <= there
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".obj", ".stl", ".off", ".su2", ".mesh", ".avs", ".dat",
+                                    ".xml", ".h5m", ".ele", ".cgns", ".b8.ugrid"])
+def test_a_format_without_the_cells_is_refused_by_their_type(suffix, tmp_path):
+    mesh = meshio.Mesh(POINTS, [("line3", np.array([[0, 1, 2]])),
+                                ("triangle6", np.array([[0, 1, 2, 3, 3, 3]]))])
+    with pytest.raises(MeshFileError, match=r"it holds no cells of type triangle6; try another"):
+        write_file(tmp_path / f"out{suffix}", mesh)
+    assert not list(tmp_path.iterdir())
