@@ -406,17 +406,45 @@ def test_what_is_not_written_out_is_refused(text, said, tmp_path):
         read_file(tmp_path / "a.inp")
 
 
-def test_a_deck_whose_mesh_is_in_another_file_is_written_anew(tmp_path):
+def test_what_a_deck_includes_is_in_its_place_afterwards(tmp_path):
     points, cells = box(3, 4, plane=0.5)
-    (tmp_path / "mesh.inp").write_text(
+    (tmp_path / "parts").mkdir()
+    nodes, mesh = tmp_path / "parts" / "nodes.inc", tmp_path / "parts" / "mesh.inp"
+    nodes.write_text(rows([[i + 1, *x] for i, x in enumerate(points.tolist())], "\n")[:-1])
+    mesh.write_text("*NODE, INPUT=nodes.inc, NSET=ALL\n*ELEMENT, TYPE=C3D4, ELSET=E\n" + rows(
+        [[i + 1, *row] for i, row in enumerate((cells + 1).tolist())], "\n"))
+    (tmp_path / "ask.inp").write_text("*NODE PRINT\nU")
+    source, target = tmp_path / "a.inp", tmp_path / "out" / "b.inp"
+    target.parent.mkdir()
+    ask = "*STEP\n*STATIC\n*INCLUDE, INPUT=ask.inp\n*END STEP\n"
+    source.write_text("*INCLUDE, INPUT=parts/mesh.inp\n*MATERIAL, NAME=M\n*ELASTIC\n1., .3\n" + ask
+                      + ask)
+    before = source.read_bytes(), mesh.read_bytes(), nodes.read_bytes()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        optimize_file(source, target)
+    assert before == (source.read_bytes(), mesh.read_bytes(), nodes.read_bytes())
+    text = target.read_text()
+    assert text.count("\nU\n*END STEP") == 2
+    assert "*ELASTIC\n1., .3\n" in text
+    back = read_file(target)
+    assert not np.array_equal(back.points, points)
+    assert len(back.points) == len(points)
+    assert len(back.point_sets["ALL"]) == len(points)
+    assert len(meshio.read(target).points) == len(points)
+
+
+def test_a_deck_that_includes_no_more_than_materials_stays(tmp_path):
+    points, cells = box(3, 4, plane=0.5)
+    (tmp_path / "steel.inc").write_text("*MATERIAL, NAME=STEEL\n*ELASTIC\n1., .3\n")
+    source, target = tmp_path / "a.inp", tmp_path / "b.inp"
+    source.write_text(
         "*NODE\n" + rows([[i + 1, *x] for i, x in enumerate(points.tolist())], "\n")
         + "*ELEMENT, TYPE=C3D4, ELSET=E\n" + rows(
-            [[i + 1, *row] for i, row in enumerate((cells + 1).tolist())], "\n"))
-    source, target = tmp_path / "a.inp", tmp_path / "b.inp"
-    source.write_text("*INCLUDE, INPUT=mesh.inp\n*MATERIAL, NAME=M\n*ELASTIC\n1., .3\n")
-    with pytest.warns(DataNotKeptWarning, match=r"what is said by \*ELASTIC, \*MATERIAL"):
-        optimize_file(source, target)
-    assert len(read_file(target).points) == len(points)
+            [[i + 1, *row] for i, row in enumerate((cells + 1).tolist())], "\n")
+        + "*INCLUDE, INPUT=steel.inc\n*SOLID SECTION, ELSET=E, MATERIAL=STEEL\n")
+    optimize_file(source, target)
+    assert "*ELASTIC\n1., .3\n*SOLID SECTION, ELSET=E, MATERIAL=STEEL" in target.read_text()
 
 
 def test_other_readers_see_the_same_mesh(tmp_path):

@@ -54,10 +54,10 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
 
     Raises
     ------
-    NotRewritable    nodes went that are named, or what changes stands in a file that is included
+    NotRewritable    nodes went that are named
     """
     deck = deck_of(change, source, parsed)
-    data = source.read_bytes()
+    data = b"".join(deck.texts)
     names = Names(
         change, deck.number, [(block.part, block.ids) for block in deck.blocks], _kinds(deck),
         _largest(deck))
@@ -84,16 +84,8 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
 
 
 def _line_edit(deck: Deck, i: int, text: bytes, last: int | None = None) -> Edit:
-    """Put text in the place of a line, or of several.
-
-    Raises
-    ------
-    NotRewritable    they stand in a file that is included
-    """
+    """Put text in the place of a line, or of several."""
     last = i if last is None else last
-    if deck.files[i] or deck.files[last]:
-        msg = "it includes files that hold what was changed"
-        raise NotRewritable(msg)
     return deck.starts[i], deck.starts[last] + len(deck.texts[last]), text
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from itertools import accumulate
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -77,9 +78,8 @@ class Deck(NamedTuple):
 
     Attributes
     ----------
-    texts, starts, files : lists     of every line, those of files that are included behind the
-                                     line that does so: its text, its place in its file, and the
-                                     number of that, 0 of the deck itself
+    texts, starts : lists            of every line, those of files that are included in the place
+                                     of the line that does so: its text, and where that starts
     sections : list of Section
     number : dict                    index of a node by part and number
     lines : list of int              line of every node
@@ -94,7 +94,6 @@ class Deck(NamedTuple):
 
     texts: list[bytes]
     starts: list[int]
-    files: list[int]
     sections: list[Section]
     number: dict[tuple[str, int], int]
     lines: list[int]
@@ -109,7 +108,7 @@ class Deck(NamedTuple):
 
 def parsed(path: Path) -> Deck:
     """Take a deck apart."""
-    texts, starts, files = _lines(path, 0, {path.resolve()})
+    texts = _lines(path, {path.resolve()})
     sections = list(_sections(texts))
     made = sorted({s.name for s in sections if s.name in MADE})
     made += [s.name for s in sections if s.name == "NODE" and
@@ -136,7 +135,7 @@ def parsed(path: Path) -> Deck:
         points = np.array([[*x, *(dim - len(x)) * [0.0]] for x in places]).reshape(-1, dim)
     while points.shape[1] > 2 and not points.size:
         points = points[:, :2]
-    return _with_elements(texts, starts, files, sections, number, lines, points)
+    return _with_elements(texts, sections, number, lines, points)
 
 
 def words_of(text: bytes) -> list[str]:
@@ -150,34 +149,27 @@ def resolved(sections: list[Section]) -> dict[str, str]:
             for s in sections if s.name == "INSTANCE" and "NAME" in s.params}
 
 
-def _lines(path: Path, number: int, seen: set[Path]) -> tuple[list[bytes], list[int], list[int]]:
-    """Lines of a file and of all that it includes."""
+def _lines(path: Path, outer: set[Path]) -> list[bytes]:
+    """Lines of a file, with those of what it includes in the place of the words that do so."""
     texts: list[bytes] = []
-    starts: list[int] = []
-    files: list[int] = []
-    at = 0
     for line in path.read_bytes().splitlines(keepends=True):
-        texts.append(line)
-        starts.append(at)
-        files.append(number)
-        at += len(line)
         found = b"=" in line and re.match(
-            rb"(?i)\s*\*\s*(?:INCLUDE|NODE|ELEMENT)\b[^\r\n]*?,\s*INPUT\s*=\s*"
-            rb"(\"[^\"]*\"|[^\s,]+)", line)
+            rb"(?i)\s*\*\s*(INCLUDE|NODE|ELEMENT)\b[^\r\n]*?(,\s*INPUT\s*=\s*"
+            rb"(\"[^\"]*\"|[^\s,]+))", line)
         if not found:
+            texts.append(line)
             continue
-        name = found[1].strip(b'"').decode("utf-8", "replace")
+        name = found[3].strip(b'"').decode("utf-8", "replace")
         other = path.parent / name
         if not other.is_file():
             msg = f"it includes {name}, which is not there"
             raise MeshFileError(msg)
-        if other.resolve() not in seen:
-            seen.add(other.resolve())
-            more = _lines(other, len(seen), seen)
-            texts += more[0]
-            starts += more[1]
-            files += more[2]
-    return texts, starts, files
+        included = found[1].upper() == b"INCLUDE"
+        texts.append(b"** " + line if included else line[: found.start(2)] + line[found.end(2):])
+        if other.resolve() not in outer:
+            texts += [text if text.endswith((b"\r", b"\n")) else text + b"\n"
+                      for text in _lines(other, outer | {other.resolve()})]
+    return texts
 
 
 def _sections(texts: list[bytes]) -> Iterator[Section]:
@@ -226,7 +218,7 @@ def _sections(texts: list[bytes]) -> Iterator[Section]:
 
 
 def _with_elements(
-    texts: list[bytes], starts: list[int], files: list[int], sections: list[Section],
+    texts: list[bytes], sections: list[Section],
     number: dict[tuple[str, int], int], lines: list[int], points: NDArray[np.float64],
 ) -> Deck:
     found: dict[tuple[str, ...], tuple[list[int], list[list[int]], list[tuple[int, int]]]] = {}
@@ -262,7 +254,8 @@ def _with_elements(
     elements = {(block.part, i): (b, row) for b, block in enumerate(blocks)
                 for row, i in enumerate(block.ids)}
     held += [v for nodes in others.values() for v in nodes]
-    deck = Deck(texts, starts, files, sections, number, lines, points, blocks,
+    starts = [0, *accumulate(map(len, texts))]
+    deck = Deck(texts, starts, sections, number, lines, points, blocks,
                 np.unique(np.array(held, dtype=np.int64)), [w for w, v in others.items() if v],
                 elements, {first: (b, row) for b, block in enumerate(blocks)
                            for row, (first, _) in enumerate(block.lines)}, [])
