@@ -30,7 +30,9 @@ COUNTS = {
 }
 """Where a format states how many items follow, or the last index."""
 
-REFERENCES = {"abaqus": rb"(?i)\*INCLUDE[^\n=]*=\s*([^\s,]+)", "xdmf": rb">\s*([^<>:\s]+):/"}
+REFERENCES = {"abaqus": rb"(?i)\*INCLUDE[^\n=]*=\s*([^\s,]+)",
+              "nastran": rb"(?im)^[ \t]*INCLUDE[ \t]+['\"]?([^'\"\r\n]+)",
+              "xdmf": rb">\s*([^<>:\s]+):/"}
 """Where a format names another file that belongs to it."""
 
 

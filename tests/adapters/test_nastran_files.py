@@ -389,3 +389,27 @@ def test_any_number_has_room_in_a_field(x, tmp_path):
     assert max(map(len, (tmp_path / "a.bdf").read_text().splitlines())) <= 72
     assert seen[4:6] == [["CTETRA", "1", "123456789", "1", "2", "3", "4"],
                          ["CTRIA3", "2", "3", "1", "2", "3"]]
+
+
+@pytest.mark.parametrize("line", ["INCLUDE 'parts/mesh.bdf'", "include \"parts\\mesh.bdf\"",
+                                  "INCLUDE 'parts/\n         mesh.bdf'  $ from CAD"])
+def test_what_a_deck_includes_stands_in_its_place(line, tmp_path):
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "parts" / "mesh.bdf").write_text("".join(
+        f"GRID,{i},,{x},{y},{z}\n" for i, (x, y, z) in enumerate(
+            [(0, 0, 0.0), (1, 0, 0.0), (0, 1, 0.0), (0, 0, 1.0), (0.3, 0.3, 0.25)], 1))
+        + "".join(f"CTETRA,{i},1,{row}\n" for i, row in enumerate(
+            ["1,2,3,5", "1,2,5,4", "1,5,3,4", "5,2,3,4"], 1)).rstrip())
+    source, target = tmp_path / "a.bdf", tmp_path / "b.bdf"
+    more = "PSOLID,1,1\nMAT1,1,2.1E5,,0.3\nENDDATA\n"
+    source.write_text(f"SOL 101\nCEND\nBEGIN BULK\n{line}\n{more}")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", DataNotKeptWarning)
+        optimize_file(source, target)
+    back = read_file(target)
+    assert back.points.shape == (5, 3)
+    assert len(back.cells_dict["tetra"]) == 4
+    assert more in target.read_text()
+    (tmp_path / "parts" / "mesh.bdf").unlink()
+    with pytest.raises(MeshFileError, match=r"it includes parts.mesh\.bdf, which is not there"):
+        read_file(source)

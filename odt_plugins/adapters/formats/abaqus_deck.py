@@ -19,7 +19,12 @@ from odt_plugins.adapters.formats.abaqus_tables import (
     is_shell,
     type_of,
 )
-from odt_plugins.adapters.formats.decks import FACES, fits, order_of
+from odt_plugins.adapters.formats.decks import (
+    FACES,
+    fits,
+    order_of,
+    with_included,
+)
 from odt_plugins.adapters.formats.titles import decoded
 from odt_plugins.errors import MeshFileError
 
@@ -73,6 +78,12 @@ class Side(NamedTuple):
     face: int
 
 
+INCLUDED = re.compile(
+    rb"(?i)(?:\A|(?<=[\r\n]))[ \t]*\*[ \t]*(?:INCLUDE|NODE|ELEMENT)\b[^\r\n]*?"
+    rb"(?P<cut>,\s*INPUT\s*=\s*(?P<file>\"[^\"]*\"|[^\s,]+))")
+"""Lines that name a file which stands in their place."""
+
+
 class Deck(NamedTuple):
     """A deck, read.
 
@@ -108,7 +119,7 @@ class Deck(NamedTuple):
 
 def parsed(path: Path) -> Deck:
     """Take a deck apart."""
-    texts = _lines(path, {path.resolve()})
+    texts = with_included(path, INCLUDED, b"** ").splitlines(keepends=True)
     sections = list(_sections(texts))
     made = sorted({s.name for s in sections if s.name in MADE})
     made += [s.name for s in sections if s.name == "NODE" and
@@ -147,29 +158,6 @@ def resolved(sections: list[Section]) -> dict[str, str]:
     """Part of every instance."""
     return {s.params["NAME"].upper(): s.params.get("PART", "").upper()
             for s in sections if s.name == "INSTANCE" and "NAME" in s.params}
-
-
-def _lines(path: Path, outer: set[Path]) -> list[bytes]:
-    """Lines of a file, with those of what it includes in the place of the words that do so."""
-    texts: list[bytes] = []
-    for line in path.read_bytes().splitlines(keepends=True):
-        found = b"=" in line and re.match(
-            rb"(?i)\s*\*\s*(INCLUDE|NODE|ELEMENT)\b[^\r\n]*?(,\s*INPUT\s*=\s*"
-            rb"(\"[^\"]*\"|[^\s,]+))", line)
-        if not found:
-            texts.append(line)
-            continue
-        name = found[3].strip(b'"').decode("utf-8", "replace")
-        other = path.parent / name
-        if not other.is_file():
-            msg = f"it includes {name}, which is not there"
-            raise MeshFileError(msg)
-        included = found[1].upper() == b"INCLUDE"
-        texts.append(b"** " + line if included else line[: found.start(2)] + line[found.end(2):])
-        if other.resolve() not in outer:
-            texts += [text if text.endswith((b"\r", b"\n")) else text + b"\n"
-                      for text in _lines(other, outer | {other.resolve()})]
-    return texts
 
 
 def _sections(texts: list[bytes]) -> Iterator[Section]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from odt_plugins.adapters.formats.change import Change, NotRewritable
 from odt_plugins.adapters.regions import region_names, spreads
-from odt_plugins.errors import UnsupportedMeshError
+from odt_plugins.errors import MeshFileError
 
 Name = tuple[str, int]
 """Part and number of a node or an element."""
@@ -50,6 +50,45 @@ CORNERS = {"tetra": 3, "tetra10": 3, "triangle": 2, "triangle6": 2}
 """Numbers of corners of the faces."""
 
 QUADRATIC = ("line3", "triangle6", "tetra10")
+
+
+def with_included(
+    path: Path, words: re.Pattern[bytes], comment: bytes, outer: frozenset[Path] = frozenset()
+) -> bytes:
+    """A deck with the files that it includes in the place of the words that do so.
+
+    Parameters
+    ----------
+    path : path
+    words : pattern    its group `file` is the path of the other, and `cut` what is taken out of
+                       the line, if that is no INCLUDE, which becomes a comment
+    comment : bytes    what a comment begins with
+    outer : set        files that are open already, which are not included again
+
+    Raises
+    ------
+    MeshFileError    a file is not there
+    """
+    data, outer = path.read_bytes(), outer | {path.resolve()}
+    out, at = [], 0
+    for found in words.finditer(data):
+        name = re.sub(r"\s*[\r\n]+\s*", "", found["file"].decode("utf-8", "replace")).strip("\"'")
+        other = path.parent / name.replace("\\", "/")
+        if not other.is_file():
+            msg = f"it includes {name}, which is not there"
+            raise MeshFileError(msg)
+        last = re.compile(rb"\r?\n|\r|\Z").search(data, found.end())
+        stop = len(data) if last is None else last.end()
+        line = data[found.start(): stop].rstrip(b"\r\n")
+        line = (comment + b" ".join(line.split()) if re.match(rb"(?i)\W*INCLUDE", found[0])
+                else line.replace(found["cut"], b""))
+        more = b""
+        if other.resolve() not in outer:
+            more = with_included(other, words, comment, outer)
+        out += [data[at: found.start()], line, b"\n", more]
+        out += [b"\n"] if more and not more.endswith((b"\r", b"\n")) else []
+        at = stop
+    return b"".join([*out, data[at:]])
 
 
 def edited(data: bytes, edits: Iterable[Edit]) -> bytes:

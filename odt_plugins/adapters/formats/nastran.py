@@ -24,6 +24,7 @@ from odt_plugins.adapters.formats.decks import (
     load_labels,
     order_of,
     unread,
+    with_included,
 )
 from odt_plugins.adapters.formats.nastran_tables import (
     BEAMS,
@@ -46,6 +47,10 @@ PART = "nastran:part"
 
 MOST_SETS = 100
 """Most sets of elements that values of loads make."""
+
+INCLUDED = re.compile(
+    rb"(?i)(?:\A|(?<=[\r\n]))[ \t]*INCLUDE[ \t]+(?P<file>'[^']*'|\"[^\"]*\"|[^\s'\"$]+)")
+"""Entries that name a file which stands in their place."""
 
 UNEVEN = re.compile(rb"[,\t*$]|[\r\n][^\r\n]")
 """What lines do not have whose fields have eight letters each."""
@@ -232,7 +237,7 @@ def _parts(deck: Deck, labels: list[Any], members: dict[str, Any]) -> dict[str, 
 
 def parsed(path: Path) -> Deck:
     """Take a deck apart."""
-    data = path.read_bytes()
+    data = with_included(path, INCLUDED, b"$ ")
     cards = list(_cards(data))
     if not cards or cards[-1].name != "ENDDATA":
         msg = "it ends before ENDDATA"
