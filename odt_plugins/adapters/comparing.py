@@ -30,10 +30,13 @@ def not_kept(mesh: Any, back: Any) -> list[str]:
     renamed = []
     d = min(mesh.points.shape[1], back.points.shape[1])
     old, new = mesh.points[:, :d], back.points[:, :d]
-    if not np.array_equal(old, new) and not np.array_equal(
-        np.unique(old, axis=0), np.unique(new, axis=0)
-    ):
-        lost.append("the last digits of the coordinates")
+    if not np.array_equal(old, new):
+        one, two = np.unique(old, axis=0), np.unique(new, axis=0)
+        fewer = len(one) - len(two)
+        if fewer > 0 and len(np.unique(np.concatenate([one, two]), axis=0)) == len(one):
+            lost.append(f"{fewer} points of no cell")
+        elif not np.array_equal(one, two, equal_nan=True):
+            lost.append("the last digits of the coordinates")
     groups = group_names(mesh)
     families = {name for names in getattr(back, "cell_tags", {}).values() for name in names}
     missing = groups - {*back.cell_sets, *back.field_data, *families}

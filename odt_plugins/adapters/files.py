@@ -427,7 +427,7 @@ def _write_and_compare(
         raise _not_written(path, name, _reason(exc)) from exc
     if differs:
         raise _not_written(path, name, f"meshio and VTK read {differs} of the file differently")
-    if _sizes(back) != _sizes(fit) or len(back.points) != len(fit.points):
+    if _sizes(back) != _sizes(fit) or (name != "stl" and len(back.points) != len(fit.points)):
         reason = f"it does not hold {len(fit.points)} points with cells {_sizes(fit)}"
         raise _not_written(path, name, reason)
     lost += not_kept(mesh, back)

@@ -136,6 +136,8 @@ def fitted(mesh: Any, name: str) -> tuple[Any, list[str]]:
         return mesh.copy(), []
     out = mesh.copy()
     lost = []
+    if out.points.dtype not in (np.float32, np.float64):
+        out.points = out.points.astype(np.float64)
     barred = "" if form is EVERYTHING else BARRED.get(name, "\n")
     out.point_data = {_title(key, barred): array for key, values in out.point_data.items()
                       if (array := _held(values, name, form)) is not None}

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from odt_plugins.adapters.files import read_file, write_file
+from odt_plugins.errors import DataNotKeptWarning
 
 KINDS = {
     "half": lambda k: np.linspace(0, 1, k).astype(np.float16),
@@ -110,3 +111,23 @@ def test_a_name_that_a_format_cannot_have_becomes_another(name, suffix, tmp_path
                                           if suffix == ".vtu" else back.point_data)
     if suffix == ".med":
         assert len(back.point_data) == 1
+
+
+def test_stl_takes_vertices_at_one_place_and_those_of_no_triangle(tmp_path):
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0.1],
+                       [5, 5, 5]])
+    mesh = meshio.Mesh(points, [("triangle", np.array([[0, 1, 2], [3, 5, 4]]))])
+    with pytest.warns(DataNotKeptWarning, match="does not keep 1 points of no cell; try"):
+        write_file(tmp_path / "out.stl", mesh)
+    back = read_file(tmp_path / "out.stl")
+    assert np.array_equal(back.points[back.cells[0].data], points[mesh.cells[0].data])
+
+
+@pytest.mark.parametrize("suffix", [".mesh", ".xdmf", ".med"])
+@pytest.mark.parametrize("kind", [np.int64, np.float16])
+def test_points_of_any_type_are_written(kind, suffix, tmp_path):
+    mesh = mesh_with("truth")
+    mesh.points = np.arange(15).reshape(5, 3).astype(kind)
+    mesh.point_data, mesh.cell_data = {}, {}
+    write_file(tmp_path / f"out{suffix}", mesh)
+    assert np.array_equal(read_file(tmp_path / f"out{suffix}").points, mesh.points)
