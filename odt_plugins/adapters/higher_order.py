@@ -125,6 +125,7 @@ class HigherOrder:
     gone : (g,) int              old nodes whose places have gone
     gone_places : Places         where they were, by old nodes
     shape : (k, d + 1) int       lattice of a cell
+    inside : (g,) bool, (n',) bool    nodes that have gone, and all, that no facet of one cell has
     """
 
     points: NDArray[Any]
@@ -136,6 +137,7 @@ class HigherOrder:
     gone: NDArray[np.int64]
     gone_places: Places
     shape: Lattice
+    inside: tuple[NDArray[np.bool_], NDArray[np.bool_]]
 
 
 def check_mid_nodes(rows: NDArray[Any], n: int, shape: Lattice) -> None:
@@ -257,7 +259,20 @@ def with_mid_nodes(
         gone_places=Places(places.corners[first][lost], places.weights[first][lost],
                            old_key[lost]),
         shape=shape,
+        inside=(_inside(wide, n, shape)[gone], _inside(cells, total, shape)[there]),
     )
+
+
+def _inside(cells: NDArray[np.int64], count: int, shape: Lattice) -> NDArray[np.bool_]:
+    """Which nodes are on no facet that one cell alone has."""
+    d = shape.shape[1]
+    facets = [np.sort(np.delete(cells[:, :d], i, axis=1), axis=1) for i in range(d)]
+    _, which, size = np.unique(row_keys(np.concatenate(facets), count), return_inverse=True,
+                               return_counts=True)
+    out = np.ones(count, dtype=np.bool_)
+    for i, alone in enumerate(np.split(size[which.ravel()] == 1, d)):
+        out[cells[alone][:, shape[:, i] == 0]] = False
+    return out
 
 
 def _places(corners: NDArray[np.int64], shape: Lattice, n: int) -> Places:
@@ -404,7 +419,8 @@ def carried_point_data(
     (n', ...)             nodes that are still there keep their value; the node of a new place takes
                           the linear interpolation of its corners, or for data other than
                           floating-point numbers and colours the value of the nearest, of lowest
-                          index
+                          index, or inside that of the nodes whose places have gone there, if
+                          several had the same
 
     Warns
     -----
@@ -419,6 +435,9 @@ def carried_point_data(
     between = _between if varies(name, values) else _nearest
     out[new] = between(values, q.origin[q.corners[new]], q.weights[new])
     expected = between(values, q.gone_places.corners, q.gone_places.weights)
+    inner = values[q.gone[q.inside[0]]]
+    if between is _nearest and len(inner) > 1 and (inner == inner[0]).all():
+        out[new[q.inside[1][new]]] = expected[q.inside[0]] = inner[0]
     off = expected != values[q.gone]
     if values.dtype.kind in "fc":
         size = np.abs(values).max() if values.size else 0.0

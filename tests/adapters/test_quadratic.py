@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import warnings
+from collections import Counter
 
 import contract
 import meshio
@@ -400,3 +401,27 @@ def test_other_quadratic_cells_are_refused_by_name(beside):
     message = rf"QUADRATIC_HEXAHEDRON \(first: cell {len(parts)}\)"
     with pytest.raises(UnsupportedMeshError, match=message):
         odt_plugins.optimize(grid)
+
+
+def on_rim(rows, count):
+    """Nodes of the facets that one cell alone has, of quadratic tetrahedra."""
+    sides = [(0, 1, 2, 4, 5, 6), (0, 1, 3, 4, 7, 8), (1, 2, 3, 5, 8, 9), (0, 2, 3, 6, 7, 9)]
+    keys = [tuple(sorted(row[list(side[:3])])) for row in rows for side in sides]
+    size = Counter(keys)
+    found = [row[list(side)] for row in rows for side in sides
+             if size[tuple(sorted(row[list(side[:3])]))] == 1]
+    return np.isin(np.arange(count), np.unique(found)).astype(np.int32)
+
+
+@pytest.mark.parametrize("boundary", ["fixed", "slide"])
+@pytest.mark.parametrize("host", WITH_DATA)
+def test_nodes_of_new_edges_inside_have_the_marker_of_those_inside(host, boundary):
+    pytest.importorskip(host)
+    nodes, rows, _ = quadratic_grid(3)
+    rim = {"rim": on_rim(rows, len(nodes))}
+    mesh = MAKERS[host](nodes, rows, np.zeros(len(rows), int), rim, 3)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", DataNotKeptWarning)
+        _, cells, point, _ = view(odt_plugins.optimize(mesh, boundary=boundary, keep=()), 3)
+    assert len(cells) != len(rows)
+    assert np.array_equal(np.asarray(point["rim"]), on_rim(np.asarray(cells), len(point["rim"])))
