@@ -55,7 +55,7 @@ from odt_plugins.adapters.point_sets import (
     with_links,
 )
 from odt_plugins.adapters.regions import AUTO, Labels, region_labels
-from odt_plugins.adapters.wedges import carried
+from odt_plugins.adapters.wedges import TEXTURE, carried, of_vertices, slid, texture_of
 from odt_plugins.errors import InvalidMeshError, UnsupportedMeshError, counted
 
 FACES = {"line": 2, "triangle": 3} | {
@@ -75,9 +75,6 @@ NODE_ENTITIES, CELL_ENTITIES = "gmsh:dim_tags", "gmsh:geometrical"
 """Data of Gmsh's files: dimension and tag of the entity of a node, tag of that of a cell."""
 
 NORMALS = "Normals"
-
-TEXTURE = "texcoord"
-"""Cell data (m, 6) of the texture coordinates of the corners of triangles."""
 
 ORIGIN = "read_from"
 """Attribute of a meshio.Mesh that tells the file it was read from, and what stood where there."""
@@ -172,7 +169,7 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
         shape=shape,
         whole=True,
         ids=np.flatnonzero(np.repeat([block.type == kind for block in mesh.cells], sizes)),
-        texture=_texture(arrays, kind),
+        texture=texture_of(arrays, kind, mesh.point_data),
         total=sum(sizes),
         fields=sampled({name: np.asarray(v) for name, v in mesh.point_data.items()}),
         densities=dense(arrays, (TEXTURE,)),
@@ -236,7 +233,10 @@ def write(result: Result, host: HostMesh) -> Any:
             out.cell_data[name][i] = values[here]
     if result.curved and not host.higher_order:
         _renew_normals(out, result, host)
-    if host.texture is not None:
+        for name, values in of_vertices(host.source.point_data).items():
+            moved = slid(values, host.cells, result.feet)
+            out.point_data[name] = moved.reshape(-1, *np.shape(out.point_data[name])[1:])
+    if host.texture is not None and host.texture.ndim == 3:
         uv = carried(host.texture, host.cells, result).reshape(-1, 6)
         for i, start in host.layout.items():
             end = start + len(host.source.cells[i].data)
@@ -277,12 +277,6 @@ def _coupled(mesh: Any) -> NDArray[np.int64] | None:
     pairs = [] if known is None else [known]
     pairs += [np.asarray(entry[-1]).ravel() for entry in mesh.gmsh_periodic or ()]
     return np.unique(np.concatenate(pairs)).astype(np.int64) if pairs else None
-
-
-def _texture(arrays: dict[str, NDArray[Any]], kind: str) -> NDArray[Any] | None:
-    """Texture coordinates (m, 3, 2) of the corners of triangles, if the cells have some."""
-    uv = arrays.get(TEXTURE) if kind == "triangle" else None
-    return None if uv is None or uv.shape[1:] != (6,) else uv.reshape(-1, 3, 2).astype(np.float64)
 
 
 def _sets_of(

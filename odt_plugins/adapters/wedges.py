@@ -6,6 +6,8 @@ vertices of a curved surface move across seams, and the coordinates of its wedge
 
 from __future__ import annotations
 
+import re
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -23,6 +25,15 @@ ON_SEAM = 1e-6
 
 SEAM = "texture seam"
 """Kind of the edges within a chart across which texture coordinates jump."""
+
+
+TEXTURE = "texcoord"
+"""Cell data of the texture coordinates of the corners of triangles."""
+
+NAMES = re.compile(r"(?i)(off:)?texture([ _]?coordinates)?|tcoords")
+
+PAIRS = (("s", "t"), ("texture_u", "texture_v"))
+"""Names of the texture coordinates of vertices: of one array, and of two in PLY files."""
 
 
 def charts(
@@ -138,6 +149,32 @@ def _on_surface(
                f"regions={CHARTS!r}")
         warn(msg, DataNotKeptWarning)
     return out
+
+
+def of_vertices(data: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
+    """Point data that are texture coordinates (n, c) by their names, as files have these."""
+    pairs = [name for pair in PAIRS if all(name in data for name in pair) for name in pair]
+    names = [name for name in data if name in pairs or NAMES.fullmatch(name)]
+    found = {name: np.asarray(data[name]) for name in names}
+    return {name: values.reshape(len(values), -1) for name, values in found.items()
+            if values.dtype.kind == "f" and values.ndim == 2 - (name in pairs)}
+
+
+def texture_of(
+    arrays: dict[str, NDArray[Any]], kind: str, data: Mapping[str, Any]
+) -> NDArray[Any] | None:
+    """Texture coordinates (m, 3, 2) of the corners of triangles, or those (n, c) of vertices.
+
+    Parameters
+    ----------
+    arrays, data : dict    cell and point data
+    kind : str             type of the cells in meshio
+    """
+    uv = arrays.get(TEXTURE) if kind == "triangle" else None
+    if uv is not None and uv.shape[1:] == (6,):
+        return uv.reshape(-1, 3, 2).astype(np.float64)
+    there = [*of_vertices(data).values()] if kind == "triangle" else []
+    return np.concatenate(there, axis=1) if there else None
 
 
 def slid(
