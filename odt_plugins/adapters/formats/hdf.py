@@ -1,4 +1,4 @@
-"""CGNS and MOAB files, of which meshio reads a part: what it leaves out is named."""
+"""CGNS and MOAB files, of which a part is read: what is left out is named."""
 
 from __future__ import annotations
 
@@ -11,43 +11,74 @@ from odt_plugins.adapters.formats.decks import unread
 from odt_plugins.adapters.formats.readers import reader_of
 from odt_plugins.errors import MeshFileError
 
-TETRA = 10
-"""Number of linear tetrahedra among the types of elements of CGNS."""
+TYPES = {2: ("vertex", 1), 3: ("line", 2), 4: ("line3", 3), 5: ("triangle", 3),
+         6: ("triangle6", 6), 7: ("quad", 4), 10: ("tetra", 4), 11: ("tetra10", 10),
+         12: ("pyramid", 5), 14: ("wedge", 6), 17: ("hexahedron", 8)}
+"""Elements of CGNS by their numbers: their names in meshio, and how many nodes they have."""
 
-HELD = ("GridCoordinates", "GridElements", "ZoneType")
-"""What meshio reads of a zone, and what says nothing that a mesh does not hold."""
+TETRA, MIXED = 10, 20
+"""Numbers of linear tetrahedra, and of elements each of which tells its own type."""
+
+HELD = ("GridCoordinates", "ZoneType", "Ordinal")
+"""What is read of a zone, and what says nothing that a mesh does not hold."""
 
 NUMBERS = "GLOBAL_ID"
 """Tag of MOAB that numbers what there is."""
 
 
 def cgns(path: Path) -> Any:
-    """Read the tetrahedra of the one zone of a file.
+    """Read the elements of the one zone of a file; several sections of it are cell sets.
 
     Raises
     ------
-    MeshFileError    it has several zones, or other elements
+    MeshFileError    it has several zones, or elements of types that are not known
     """
     import h5py
+    from meshio import Mesh
 
-    more: list[str] = []
     with h5py.File(path, "r") as file:
-        base = file["Base"] if "Base" in file else {}
-        zones = [name for name in base if "GridCoordinates" in _inside(base[name])]
-        if len(zones) > 1:
-            msg = f"it has {len(zones)} zones, expected one"
+        homes = [part for name in file for part in [_inside(file[name])]]
+        bases = [part for part in homes for zone in part.values()
+                 if "GridCoordinates" in _inside(zone)]
+        if len(bases) != 1:
+            msg = f"it has {len(bases)} zones, expected one"
             raise MeshFileError(msg)
-        for name in base:
-            parts = _inside(base[name])
-            more += [part for part in parts if part not in HELD] if name in zones else [name]
-            kind = _inside(parts.get("GridElements")).get(" data")
-            if kind is not None and int(np.ravel(kind)[0]) != TETRA:
-                msg = f"it has elements of type number {int(np.ravel(kind)[0])}, expected {TETRA}"
-                raise MeshFileError(msg)
-    mesh = _read(path, "cgns")
+        zones = [name for name, zone in bases[0].items() if "GridCoordinates" in _inside(zone)]
+        zone = _inside(bases[0][zones[0]])
+        found = _inside(zone["GridCoordinates"])
+        points = np.column_stack([found[f"Coordinate{axis}"][" data"][()] for axis in "XYZ"
+                                  if f"Coordinate{axis}" in found])
+        parts = {name: part for name, part in zone.items()
+                 if "ElementConnectivity" in _inside(part)}
+        sections = [(name, kind, rows) for name, part in parts.items()
+                    for kind, rows in _elements(part)]
+        more = [name for name in bases[0] if name not in zones]
+        more += [name for name in zone if name not in {*HELD, *parts}]
+    sets: Any = {name: [np.arange(len(rows) * (own == name)) for own, _, rows in sections]
+                 for name in parts if len(parts) > 1}
+    mesh = Mesh(points, [(kind, rows) for _, kind, rows in sections], cell_sets=sets)
     # Names of HDF5's own bookkeeping start with a blank.
     mesh.info = unread("the nodes", [name for name in more if not name.startswith(" ")])
     return mesh
+
+
+def _elements(section: Any) -> list[tuple[str, Any]]:
+    """Types and nodes of the elements of a section of CGNS; meshio writes no type of tetrahedra."""
+    number = int(np.ravel(section[" data"][()])[0]) if " data" in section else TETRA
+    flat = np.ravel(section["ElementConnectivity"][" data"][()]).astype(np.int64)
+    rows: dict[int, list[Any]] = {number: [flat]}
+    at = 0
+    while number == MIXED and at < len(flat):
+        width = TYPES.get(int(flat[at]), ("", 0))[1]
+        rows.setdefault(int(flat[at]), []).append(flat[at + 1: at + 1 + width])
+        at += 1 + width
+    other = sorted(rows.keys() - TYPES.keys() - {MIXED})
+    if other:
+        msg = (f"it has elements of type number {other[0]}, expected some of "
+               f"{', '.join(map(str, TYPES))} or {MIXED}")
+        raise MeshFileError(msg)
+    return [(TYPES[kind][0], np.concatenate(parts).reshape(-1, TYPES[kind][1]) - 1)
+            for kind, parts in rows.items() if kind != MIXED]
 
 
 def h5m(path: Path) -> Any:
