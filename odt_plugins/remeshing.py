@@ -178,6 +178,11 @@ def _wish(size: Any, wishes: dict[str, Any], *, metric: bool) -> Wish:
     from odt_plugins.metric.limits import GROWTH as OF_METRICS
 
     adapt, length = wishes.get("adapt"), None
+    names = [adapt or ""] if isinstance(adapt, str | None) else adapt
+    if not isinstance(names, list | tuple) or not all(isinstance(name, str) for name in names):
+        msg = (f"got adapt= of type {type(adapt).__name__}; expected names of point arrays, try "
+               f"metric=odt_plugins.metric_from_field(mesh, values, cells) for values")
+        raise InvalidOptionError(msg)
     if adapt and metric:
         msg = "got adapt= and metric=; expected one of them"
         raise InvalidOptionError(msg)

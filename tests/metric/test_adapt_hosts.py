@@ -111,3 +111,10 @@ def test_meshlab_counts_faces():
     found = meshes.meshing_odt_remeshing(
         targetfacenum=100, maxsurfdist=pymeshlab.PercentageValue(5))
     assert abs(found["faces"] - 100) < 10
+
+
+@pytest.mark.parametrize("adapt", [np.ones(4), 3, [1.0], abs])
+def test_values_in_place_of_names_are_refused_with_what_takes_them(adapt):
+    mesh = np.eye(4)[:, :3], np.array([[3, 0, 1, 2]])
+    with pytest.raises(InvalidOptionError, match=r"of type \w+; expected names .* try metric="):
+        odt_plugins.remesh(mesh, adapt=adapt, cells=10)
