@@ -236,6 +236,12 @@ def _expect_known(options: Mapping[str, Any], own: Mapping[str, Any]) -> None:
         msg = (f"got unknown keywords {unknown}; expected those of pytetwild.tetrahedralize, or "
                f"options of odt_plugins.optimize{hint}")
         raise InvalidOptionError(msg)
+    for name in ("edge_length_fac", "edge_length_abs", "epsilon", "stop_energy"):
+        value = own.get(name, 1.0)
+        known = isinstance(value, int | float | np.number) and 0.0 < value < np.inf
+        if not known and (value is not None or name != "edge_length_abs"):
+            msg = f"got {name}={value!r}; expected a number above 0"
+            raise InvalidOptionError(msg)
 
 
 def odt_options(odt: Mapping[str, Any] | bool, **options: Any) -> dict[str, Any] | None:

@@ -273,3 +273,15 @@ def test_the_surface_is_compared_with_the_boundary_and_turned_on_request(monkeyp
     assert np.abs(contract.volumes(*out)).sum() / 6 == pytest.approx(2)
     assert np.array_equal(surface[1][12:], FACES[:, ::-1] + 8)
     odt_plugins.tetrahedralize(*surface, odt=False)
+
+
+@pytest.mark.parametrize("how", [
+    {"edge_length_fac": 0}, {"edge_length_fac": "a"}, {"edge_length_abs": -1.0},
+    {"epsilon": -1.0}, {"epsilon": float("nan")}, {"stop_energy": None}])
+def test_lengths_that_are_none_are_refused_before_tetwild_runs(how):
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+    name, value = next(iter(how.items()))
+    said = f"got {name}={value!r}; expected a number above 0"
+    with pytest.raises(InvalidOptionError, match=said):
+        odt_plugins.tetrahedralize(points, faces, **how)
