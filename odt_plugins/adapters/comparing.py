@@ -54,13 +54,16 @@ def not_kept(mesh: Any, back: Any) -> list[str]:
             gone -= {gmsh_tables.PHYSICAL} if groups & set(back.cell_sets) else set()
         for name in sorted(gone if kind in ("point_data", "cell_data") else ()):
             values = _by_type(mesh, old[name])
-            others = {n: _by_type(back, new[n]) for n in sorted(set(new) - set(old))}
+            others = {n: _by_type(back, new[n]) for n in sorted(
+                set(new) - set(old), key=lambda name: (name == gmsh_tables.ENTITY, name))}
             if "cell_tags" in others:
                 # Families of cells have the negative numbers of their labels.
                 others["cell_tags"] = {k: -v for k, v in others["cell_tags"].items()}
-            other = next((n for n in others if _same(values, others[n]) == set(others[n])), None)
-            best = other or max(others, key=lambda n: len(_same(values, others[n])), default="")
-            kept = _same(values, others[best]) if best else set()
+            ordered = _in_order(mesh, back, cells=kind == "cell_data")
+            same = {n: _same(values, others[n], ordered=ordered) for n in others}
+            other = next((n for n in others if same[n] == set(others[n])), None)
+            best = other or max(others, key=lambda n: len(same[n]), default="")
+            kept = same[best] if best else set()
             if kept:
                 gone.discard(name)
                 renamed.append(f"the name of {what} {name!r} (there {best!r})")
@@ -171,9 +174,12 @@ def _by_type(mesh: Any, values: Any) -> dict[str, NDArray[Any]]:
             for kind in kinds}
 
 
-def _same(one: dict[str, NDArray[Any]], two: dict[str, NDArray[Any]]) -> set[str]:
-    """Types of cells with the same values, that are not all alike."""
-    return {kind for kind in set(one) & set(two) if np.array_equal(one[kind], two[kind])}
+def _same(
+    one: dict[str, NDArray[Any]], two: dict[str, NDArray[Any]], *, ordered: bool
+) -> set[str]:
+    """Types of cells with the same values, in any order if need be."""
+    return {kind for kind in set(one) & set(two) if one[kind].shape == two[kind].shape
+            and not _difference(one[kind], two[kind], ordered=ordered)}
 
 
 def other_types(mesh: Any, back: Any) -> list[str]:

@@ -411,3 +411,17 @@ def test_files_with_sections_that_name_points_are_written_anew(tmp_path):
         data.replace(b"\nendmesh", b"\nsingular_points\n1\n3 0.5\n\nendmesh"))
     with pytest.warns(DataNotKeptWarning, match="singular_points"):
         write_file(tmp_path / "b.vol", remesh(read_file(tmp_path / "a.vol"), scale=1.5))
+
+
+def test_labels_in_another_order_of_cells_are_not_called_lost(tmp_path):
+    """Gmsh has the cells of an entity together."""
+    points, cells, _ = contract.grid(3, 3)
+    faces = np.sort(cells[:6, :3], axis=1)
+    labels = [np.arange(len(rows)) // 3 % 2 + 1 for rows in (faces, cells)]
+    mesh = meshio.Mesh(points, [("triangle", faces), ("tetra", cells)],
+                       cell_data={"netgen:index": labels},
+                       field_data={"one": np.array([1, 3]), "two": np.array([2, 3])})
+    with pytest.warns(DataNotKeptWarning) as heard:
+        write_file(tmp_path / "a.msh", mesh)
+    assert len(heard) == 1
+    assert "of tetra" not in str(heard[0].message)
