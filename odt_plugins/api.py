@@ -182,7 +182,9 @@ def optimize_file(
     check_output(target, file_format, binary)
     expect_same_kind(source, target)
     Thread(target=import_module, args=("odt_plugins.engine.run.plan",), daemon=True).start()
-    mesh, report = optimize_with_report(read_file(source), **how)
+    mesh = read_file(source)
+    expect_same_kind(mesh, target)
+    mesh, report = optimize_with_report(mesh, **how)
     write_file(target, mesh, file_format, binary)
     return report
 

@@ -24,7 +24,7 @@ from odt_plugins.adapters import (
     vtk_files,
 )
 from odt_plugins.adapters.comparing import not_kept, other_types
-from odt_plugins.adapters.fitting import FORMS, fitted
+from odt_plugins.adapters.fitting import FORMS, fitted, unheld
 from odt_plugins.adapters.formats import (
     COMPANIONS,
     READERS,
@@ -38,7 +38,7 @@ from odt_plugins.adapters.formats.decks import DECK, UNREAD
 from odt_plugins.adapters.formats.readers import readable
 from odt_plugins.adapters.host import HostMesh, Result
 from odt_plugins.adapters.recolouring import recoloured
-from odt_plugins.adapters.stated import declares_no_cells
+from odt_plugins.adapters.stated import declares_no_cells, meaning_of
 from odt_plugins.errors import (
     DataNotKeptWarning,
     InvalidMeshError,
@@ -67,16 +67,6 @@ CUT = (r"\bends?\b|declares|announces|incomplete|to its end|\d+ bytes|lines for|
 
 CELLS = r"(?:line|triangle|quad|tetra|pyramid|wedge|hexahedron)\d+"
 """What types of cells of higher order are called."""
-
-SAID = (
-    (r"(?:could not convert string(?: to float:)?|invalid literal for int\(\) with base \d+:)"
-     r" (?:np\.bytes_\()?b?(['\"])(.*?)\1.*", r"it has \2 in place of a number"),
-    (r".*(?:inhomogeneous|the number of columns changed|cannot reshape array|zip\(\) argument|"
-     r"index out of range|out of bounds|must match exactly|broadcast).*",
-     "its lines do not fit together, or some are missing"),
-    (r"\[Errno -\d+\] (NetCDF: [^']*?): '.*", r"\1"),
-)
-"""What Python and its libraries say of broken files, and what it means."""
 
 PROBE = 1 << 16
 """Bytes added to a file that was not written, to see whether the system lets it grow."""
@@ -152,7 +142,7 @@ def _read_scene(path: Path) -> Any:
             return scene_files.read(path)
     # A parser may raise anything at all on a broken file.
     except Exception as exc:
-        reason = _meaning(_reason(exc))
+        reason = meaning_of(_reason(exc))
         if reason == type(exc).__name__ or isinstance(exc, KeyError):
             reason = "it is incomplete or no glTF file"
         msg = f"cannot read {path} as glTF: {reason}; expected a complete file"
@@ -164,7 +154,7 @@ def expect_same_kind(mesh: Any, target: str | os.PathLike[str]) -> None:
 
     Raises
     ------
-    MeshFileError    it is the other way round
+    MeshFileError    it is the other way round, or the format does not hold the cells of the mesh
     """
     scene = (Path(mesh).suffix.lower() in scene_files.SUFFIXES if matches(mesh)
              else trimesh_scene.matches(mesh))
@@ -172,6 +162,10 @@ def expect_same_kind(mesh: Any, target: str | os.PathLike[str]) -> None:
         what, other = ("a scene", ".glb") if scene else ("a single mesh", ".ply")
         msg = f"cannot write {what} to {target}; try a {other} file"
         raise MeshFileError(msg)
+    name = chosen_format(Path(target))[0]
+    kinds = "" if scene or matches(mesh) else unheld(mesh, name)
+    if kinds:
+        raise _not_written(Path(target), name, f"it holds no cells of type {kinds}")
 
 
 def check_output(
@@ -333,7 +327,7 @@ def _read_as(path: Path, formats: list[str]) -> tuple[Any, list[str], str]:
         msg = f"the mesh has no cells in {path}; expected tetra or triangle"
         raise InvalidMeshError(msg) from cause
     kinds = " or ".join(formats)
-    reason = "meshio only writes it" if cause is None else _meaning(_reason(cause))
+    reason = "meshio only writes it" if cause is None else meaning_of(_reason(cause))
     if cause is not None and reason == type(cause).__name__:
         reason = f"it is incomplete or no {kinds} file"
         if isinstance(cause, MemoryError):
@@ -537,15 +531,6 @@ def _not_written(path: Path, name: str, reason: str) -> MeshFileError:
 def _reason(exc: BaseException | None) -> str:
     """One line that says what went wrong in a parser or writer."""
     return " ".join(str(exc).split())[:200] or type(exc).__name__
-
-
-def _meaning(reason: str) -> str:
-    """What a parser says, in words about the file."""
-    for said, meaning in SAID:
-        found = re.fullmatch(said, reason)
-        if found:
-            return found.expand(meaning)
-    return reason
 
 
 def _sizes(mesh: Any) -> dict[str, int]:

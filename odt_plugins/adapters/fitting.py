@@ -110,6 +110,7 @@ HELD = {
     "cgns": ("tetra",), "flac3d": ("tetra",), "tetgen": ("tetra", "tetra10"),
     **dict.fromkeys(("avsucd", "dolfin-xml", "h5m", "medit", "su2", "tecplot", "ugrid"), LINEAR),
     **dict.fromkeys(("obj", "off", "ply", "stl"), FACES),
+    "vtp": (*FACES, "line", "vertex"),
 }
 """Formats without some cells of this package, and which of the greatest dimension they hold."""
 
@@ -126,10 +127,6 @@ def fitted(mesh: Any, name: str) -> tuple[Any, list[str]]:
     -------
     mesh : meshio.Mesh
     lost : list of str    cells that the format does not hold
-
-    Raises
-    ------
-    UnsupportedMeshError    the format holds none of the cells of the greatest dimension
     """
     form = FORMS.get(name)
     if form is None:
@@ -149,10 +146,6 @@ def fitted(mesh: Any, name: str) -> tuple[Any, list[str]]:
         out.field_data = {_title(key, barred): array for key, values in out.field_data.items()
                           if (array := _held(np.atleast_1d(values), name, form)) is not None}
     dim = max((block.dim for block in out.cells), default=0)
-    kinds = {block.type for block in out.cells if block.dim == dim and len(block.data)}
-    if name in HELD and not kinds & {*HELD[name]}:
-        msg = f"it holds no cells of type {', '.join(sorted(kinds))}"
-        raise UnsupportedMeshError(msg)
     if not form.beside:
         main = next((kind for kind in MAIN if any(b.type == kind for b in out.cells)), None)
         kinds = {b.type for b in out.cells if main is not None and len(b.data)} - {main}
@@ -210,6 +203,13 @@ def fitted(mesh: Any, name: str) -> tuple[Any, list[str]]:
     if name in ("obj", "off", "ugrid") and out.points.shape[1] == 2:
         out.points = np.pad(out.points, ((0, 0), (0, 1)))
     return out, lost
+
+
+def unheld(mesh: Any, name: str) -> str:
+    """Types of the cells of the greatest dimension of a mesh if a format holds none of these."""
+    dim = max((block.dim for block in mesh.cells), default=0)
+    kinds = {block.type for block in mesh.cells if block.dim == dim and len(block.data)}
+    return ", ".join(sorted(kinds)) * (name in HELD and not kinds & {*HELD[name]})
 
 
 def _title(name: str, barred: str) -> str:

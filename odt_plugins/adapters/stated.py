@@ -36,6 +36,17 @@ REFERENCES = {"abaqus": rb"(?i)\*INCLUDE[^\n=]*=\s*([^\s,]+)",
 """Where a format names another file that belongs to it."""
 
 
+SAID = (
+    (r"(?:could not convert string(?: to float:)?|invalid literal for int\(\) with base \d+:)"
+     r" (?:np\.bytes_\()?b?(['\"])(.*?)\1.*", r"it has \2 in place of a number"),
+    (r".*(?:inhomogeneous|the number of columns changed|cannot reshape array|zip\(\) argument|"
+     r"index out of range|out of bounds|must match exactly|broadcast).*",
+     "its lines do not fit together, or some are missing"),
+    (r"\[Errno -\d+\] (NetCDF: [^']*?): '.*", r"\1"),
+)
+"""What Python and its libraries say of broken files, and what it means."""
+
+
 def expect_counts(path: Path, name: str) -> int:
     """Hold what a file states against its size, before anything is allocated for it.
 
@@ -96,3 +107,12 @@ def declares_no_cells(path: Path, formats: Sequence[str]) -> bool:
     content = path.read_bytes() if known else b""
     counts = [count for pattern in known for count in re.findall(pattern, content)]
     return bool(counts) and not any(int(count) for count in counts)
+
+
+def meaning_of(reason: str) -> str:
+    """What a parser says, in words about the file."""
+    for said, meaning in SAID:
+        found = re.fullmatch(said, reason)
+        if found:
+            return found.expand(meaning)
+    return reason

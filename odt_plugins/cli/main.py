@@ -273,13 +273,15 @@ def untangle(source: Path, target: Path, rest: Path | None, partial: bool,
     """
     check_paths(target, report_file, None)
     options = resolve_arrays(source, options)
-    from odt_plugins.adapters.files import check_output, read_file, write_file
+    from odt_plugins.adapters.files import check_output, expect_same_kind, read_file, write_file
     from odt_plugins.api import untangle_with_report
 
     check_output(target)
     with warnings_told(quiet), progress_bar(quiet) as progress:
+        mesh = read_file(source)
+        expect_same_kind(mesh, target)
         found, report = untangle_with_report(
-            read_file(source), rest=None if rest is None else read_file(rest), partial=partial,
+            mesh, rest=None if rest is None else read_file(rest), partial=partial,
             progress=progress, **options)
         write_file(target, found)
     tell_report(report, report_file, quiet)

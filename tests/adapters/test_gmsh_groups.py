@@ -9,6 +9,7 @@ from gmsh_sessions import session
 
 from odt_plugins.adapters.files import read_file, write_file
 from odt_plugins.api import optimize_file
+from odt_plugins.cli.main import main
 from odt_plugins.errors import DataNotKeptWarning, MeshFileError
 
 
@@ -157,3 +158,15 @@ def test_a_format_without_the_cells_is_refused_by_their_type(suffix, tmp_path):
     with pytest.raises(MeshFileError, match=r"it holds no cells of type triangle6; try another"):
         write_file(tmp_path / f"out{suffix}", mesh)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("command", [["optimize"], ["remesh", "--scale", "0.8"], ["untangle"]])
+def test_a_format_without_the_cells_is_refused_before_any_work(
+        command, tmp_path, monkeypatch, capsys):
+    write_file(tmp_path / "a.vtu", meshio.Mesh(POINTS, [("tetra", np.array([[0, 1, 2, 3]]))]))
+    monkeypatch.setattr("odt_plugins.roundtrip.run_engine", None)
+    monkeypatch.setattr("odt_plugins.api.run_engine", None)
+    code = main([command[0], str(tmp_path / "a.vtu"), str(tmp_path / "a.stl"), *command[1:]])
+    assert code == 1
+    said = "cannot write a.stl as stl: it holds no cells of type tetra; try"
+    assert said in capsys.readouterr().err
