@@ -456,10 +456,13 @@ def _rewritten(path: Path, mesh: Any, origin: Origin | None) -> tuple[list[str] 
             raise NotRewritable(msg)
         lost = _alone(REWRITERS[origin.format], origin.format)(
             origin.path, path.absolute(), Change(before, mesh, origin.points, origin.cells))
-        back, _ = reading.read(path, origin.format)
+        back, _, _ = _read_as(path, [origin.format])
     except NotRewritable as exc:
         said = f"written anew, with what the format's writer keeps: {exc}"
         return None, [said] if str(exc) else []
+    except MeshFileError as exc:
+        reason = f"the copy of {origin.path} cannot be read again ({_reason(exc.__cause__ or exc)})"
+        raise _not_written(path, origin.format, reason) from exc
     # That is what netCDF4 and h5py say of a disk that is full.
     except RuntimeError as exc:
         raise _not_written(path, origin.format, _reason(exc)) from exc

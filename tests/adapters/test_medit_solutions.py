@@ -6,6 +6,7 @@ import shutil
 import struct
 import subprocess
 
+import contract
 import meshio
 import numpy as np
 import pytest
@@ -13,6 +14,8 @@ from strategies import jittered
 
 import odt_plugins
 from odt_plugins.adapters.files import read_file, write_file
+from odt_plugins.adapters.formats import REWRITERS
+from odt_plugins.api import optimize_file
 from odt_plugins.engine.cells import tensors as ts
 from odt_plugins.errors import DataNotKeptWarning, MeshFileError
 
@@ -131,3 +134,28 @@ def test_a_broken_binary_file_is_refused_in_one_sentence(harm, tmp_path):
     path.write_bytes(data)
     with pytest.raises(MeshFileError, match="cannot read"):
         odt_plugins.quality(path)
+
+
+@pytest.mark.parametrize("suffixes", [(".mesh", ".meshb"), (".meshb", ".mesh")])
+def test_text_goes_into_binary_files_and_back(suffixes, tmp_path):
+    points, cells, labels = contract.grid(3, 3)
+    source, target = (tmp_path / f"{name}{suffix}" for name, suffix in zip("ab", suffixes,
+                                                                           strict=True))
+    write_file(source, meshio.Mesh(points, [("tetra", cells)], cell_data={"medit:ref": [labels]}))
+    optimize_file(source, target)
+    mesh = read_file(target)
+    assert len(mesh.points) == len(points)
+    assert {*mesh.cell_data["medit:ref"][0]} == {*labels}
+    assert target.read_bytes().isascii() == (suffixes[1] == ".mesh")
+    assert len(meshio.read(target).points) == len(points)
+
+
+def test_a_copy_that_cannot_be_read_is_told_in_one_sentence(tmp_path, monkeypatch):
+    points, cells, _ = contract.grid(3, 2)
+    write_file(tmp_path / "a.mesh", meshio.Mesh(points, [("tetra", cells)]))
+    mesh = read_file(tmp_path / "a.mesh")
+    monkeypatch.setitem(REWRITERS, "medit", lambda _, target, change: target.write_text("x") and [])
+    said = r"^cannot write b\.mesh as medit: the copy of .*a\.mesh cannot be read again"
+    with pytest.raises(MeshFileError, match=said):
+        write_file(tmp_path / "b.mesh", mesh)
+    assert [path.name for path in tmp_path.iterdir()] == ["a.mesh"]

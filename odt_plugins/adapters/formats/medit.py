@@ -133,7 +133,7 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
     NotRewritable    it is binary, what sections refer to was exchanged or went, or vertices came or
                      went and it has sections that are not known
     """
-    if source.suffix.lower() == ".meshb":
+    if ".meshb" in (source.suffix.lower(), target.suffix.lower()):
         raise NotRewritable
     data = source.read_bytes()
     words, sections = _parsed(data)
