@@ -261,7 +261,7 @@ def _formats(path: Path) -> list[str]:
     """Formats of meshio, and of VTK where it is there, for a suffix, the most likely first."""
     from meshio import extension_to_filetypes
 
-    known = dict(extension_to_filetypes)
+    known = {suffix: names for suffix, names in extension_to_filetypes.items() if names != ["svg"]}
     known[".dat"] = [*known.get(".dat", ()), "nastran"]
     if apart.vtk_installed():
         known[".vtp"] = ["vtp"]

@@ -81,6 +81,7 @@ FORMS = {
     "vtk": EVERYTHING,
     "vtp": EVERYTHING,
     "vtu": EVERYTHING,
+    "wkt": Form(points=False, cells=False, beside=False),
     "xdmf": Form(kinds="iuf"),
 }
 """Formats by their name in meshio; of those that are not here meshio is given all there is."""
@@ -110,7 +111,7 @@ HELD = {
     "cgns": ("tetra",), "flac3d": ("tetra",), "tetgen": ("tetra", "tetra10"),
     **dict.fromkeys(("avsucd", "dolfin-xml", "h5m", "medit", "su2", "tecplot", "ugrid"), LINEAR),
     **dict.fromkeys(("obj", "off", "ply", "stl"), FACES),
-    "vtp": (*FACES, "line", "vertex"),
+    "vtp": (*FACES, "line", "vertex"), "wkt": ("triangle",),
 }
 """Formats without some cells of this package, and which of the greatest dimension they hold."""
 
@@ -200,7 +201,7 @@ def fitted(mesh: Any, name: str) -> tuple[Any, list[str]]:
         out.cell_data = {}
     if name == "su2":
         _as_written(out)
-    if name in ("obj", "off", "ugrid") and out.points.shape[1] == 2:
+    if name in ("obj", "off", "ugrid", "wkt") and out.points.shape[1] == 2:
         out.points = np.pad(out.points, ((0, 0), (0, 1)))
     return out, lost
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from odt_plugins.adapters.files import read_file, write_file
-from odt_plugins.errors import DataNotKeptWarning
+from odt_plugins.errors import DataNotKeptWarning, MeshFileError
 
 KINDS = {
     "half": lambda k: np.linspace(0, 1, k).astype(np.float16),
@@ -131,3 +131,20 @@ def test_points_of_any_type_are_written(kind, suffix, tmp_path):
     mesh.point_data, mesh.cell_data = {}, {}
     write_file(tmp_path / f"out{suffix}", mesh)
     assert np.array_equal(read_file(tmp_path / f"out{suffix}").points, mesh.points)
+
+
+@pytest.mark.parametrize("width", [2, 3])
+def test_wkt_takes_the_triangles_of_a_mesh_with_lines(width, tmp_path):
+    mesh = meshio.Mesh(np.eye(3)[:, :width], [("line", np.array([[0, 1]])),
+                                              ("triangle", np.array([[0, 1, 2]]))])
+    with pytest.warns(DataNotKeptWarning, match="does not keep 1 cells of type line"):
+        write_file(tmp_path / "out.wkt", mesh)
+    back = read_file(tmp_path / "out.wkt")
+    assert np.array_equal(back.points[back.cells[0].data][0, :, :width], mesh.points)
+
+
+def test_a_format_that_nothing_reads_is_no_format_of_a_mesh_file(tmp_path):
+    said = r"has no suffix of a mesh file; expected one of \.avs"
+    with pytest.raises(MeshFileError, match=said) as told:
+        write_file(tmp_path / "out.svg", mesh_with("truth"))
+    assert " .svg" not in str(told.value)
