@@ -41,12 +41,19 @@ def _file_array(host: Any, name: str, option: str, *places: str) -> Any:
         known += [f"{key} ({place})" for key in data]
         if name not in data:
             continue
-        values = data[name] if place == "point" else np.concatenate(
+        values = np.asarray(data[name]) if place == "point" else np.concatenate(
             [np.asarray(data[name][block]) for block in host.layout])
-        if np.ndim(values) != 1:
-            msg = f"array {name!r} has shape {np.shape(values)}; expected one value for each"
+        bad = np.flatnonzero(values != values)
+        msg = ""
+        if values.ndim != 1:
+            msg = f"array {name!r} has shape {values.shape}; expected one value for each"
+        elif values.dtype.kind not in "biuf":
+            msg = f"array {name!r} has type {values.dtype}; expected numbers"
+        elif bad.size and option != "density":
+            msg = f"array {name!r} is nan at index {bad[0]} ({bad.size} of them); expected numbers"
+        if msg:
             raise click.BadParameter(msg, param_hint=f"--{option}")
-        return np.asarray(values)
+        return values
     what = " or ".join(places)
     file = "" if option == "density" else " or a file of indices"
     msg = (f"got {name!r}; expected the name of a {what} array of INPUT{file}, it has "
