@@ -117,12 +117,17 @@ def conserved(
             _arrays(fields, new.names, {name: pair[0] for name, pair in of_points.items()}))
 
 
+def _kind(values: NDArray[Any]) -> type[Any]:
+    """Numbers of one or two columns that the values become."""
+    return np.complex128 if values.dtype.kind == "c" else np.float64
+
+
 def _columns(arrays: Mapping[str, NDArray[Any]], count: int) -> _Columns:
     """Those that are finite and not empty, complex ones as two numbers each."""
     parts, names, last = [], {}, 0
     for name, values in arrays.items():
         wide = values.reshape(len(values), -1)
-        wide = np.ascontiguousarray(wide, dtype=np.result_type(wide, np.float64))
+        wide = np.ascontiguousarray(wide, dtype=_kind(wide))
         part = wide.view(np.float64)
         if part.shape[1] and np.isfinite(part).all():
             parts.append(part)
@@ -138,8 +143,7 @@ def _arrays(
     """Columns as arrays of the types and shapes that others have."""
     out = {}
     for name, where in names.items():
-        kind = np.result_type(like[name], np.float64)
-        part = np.ascontiguousarray(values[:, where]).view(kind)
+        part = np.ascontiguousarray(values[:, where]).view(_kind(like[name]))
         out[name] = part.reshape(-1, *like[name].shape[1:]).astype(like[name].dtype)
     return out
 

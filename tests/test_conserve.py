@@ -331,3 +331,15 @@ def test_empty_arrays_come_back_empty(run):
     better = run(mesh, fields="conserve", **({} if run is odt_plugins.optimize else {"scale": 0.8}))
     assert better.point_data["none"].shape == (len(better.points), 0)
     assert better.cell_data["none"][0].shape == (len(better.cells[0].data), 0)
+
+
+@pytest.mark.parametrize("kind", [np.float16, np.longdouble, np.complex64, np.clongdouble])
+def test_numbers_of_any_width_are_conserved(kind):
+    points = np.random.default_rng(5).random((60, 2))
+    cells = Delaunay(points).simplices
+    mesh = meshio.Mesh(points, [("triangle", cells)], {"x": points[:, 0].astype(kind)},
+                       {"one": [np.ones(len(cells), kind)]})
+    finer = odt_plugins.remesh(mesh, scale=0.8, fields="conserve")
+    assert finer.point_data["x"].dtype == finer.cell_data["one"][0].dtype == kind
+    assert np.allclose(finer.point_data["x"], finer.points[:, 0], atol=1e-2)
+    assert np.allclose(finer.cell_data["one"][0], 1.0, atol=1e-2)
