@@ -238,6 +238,9 @@ def _data_of_all(taken: Sequence[Taken]) -> dict[str, tuple[str, ...]]:
         alike[table] = tuple(name for name, kind in kinds[0].items()
                              if all(found.get(name) == kind for found in kinds))
         other |= {name for found in kinds for name in found} - set(alike[table])
+    more = sorted({name for part in taken for name in part.more})
+    if more:
+        warn(f"field data of pieces do not come through: {', '.join(more)}", DataNotKeptWarning)
     if other:
         names = ", ".join(sorted(other))
         msg = f"arrays that pieces do not have alike do not come through: {names}"

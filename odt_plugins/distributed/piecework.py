@@ -69,6 +69,7 @@ class Taken(NamedTuple):
     inverted : int           cells that are inverted or flat; the figures are those of the others
                              then, and the sizes mean nothing
     around : (q, 3)          vertices of the rim near to those cells
+    more : tuple of str      names of its field data
     """
 
     path: str
@@ -86,6 +87,7 @@ class Taken(NamedTuple):
     ghosts: bool
     inverted: int
     around: FloatArray
+    more: tuple[str, ...]
 
 
 class Numbers(NamedTuple):
@@ -156,9 +158,10 @@ def take_in(
     _expect_numbered_once(piece.ids[used], source)
     return Taken(**measured(piece, path, numbered=found.numbered), orientation=found.orientation,
                  turned=found.turned, spreads=found.spreads, ghosts=found.ghosts,
-                 kinds={table: {name: (values.shape[1:], values.dtype.str)
+                 kinds={table: {name: (values.shape[1:], values.dtype.str.rstrip("0123456789")
+                                       if values.dtype.kind in "US" else values.dtype.str)
                                 for name, values in getattr(piece, table).items()}
-                        for table in TABLES})
+                        for table in TABLES}, more=found.more)
 
 
 def measured(piece: Piece, path: str, *, numbered: bool) -> dict[str, Any]:

@@ -176,6 +176,7 @@ class Found(NamedTuple):
     orientation : int          -1 when its cells came with negative volume
     turned : int               cells of mixed orientation that were turned
     spreads : dict             see :func:`odt_plugins.adapters.regions.named_spreads`
+    more : tuple of str        names of its field data
     """
 
     piece: Piece
@@ -184,6 +185,7 @@ class Found(NamedTuple):
     orientation: int
     turned: int
     spreads: dict[str, Spread]
+    more: tuple[str, ...]
 
 
 def read_piece(
@@ -237,7 +239,7 @@ def read_piece(
     if not len(piece.cells):
         return None
     return Found(piece, numbered, ghosts is not None, orientation, mesh.turned,
-                 named_spreads(piece.cell_data, regions, piece.cells))
+                 named_spreads(piece.cell_data, regions, piece.cells), tuple(source.field_data))
 
 
 def write_piece(path: Path, piece: Piece, orientation: int) -> None:
@@ -271,6 +273,9 @@ def _declare(grid: Any, tag: str, arrays: dict[str, NDArray[Any]]) -> None:
     element = ElementTree.SubElement(grid, tag)
     for name, values in arrays.items():
         kind = values.dtype
+        if kind.kind in "US":
+            ElementTree.SubElement(element, "PArray", type="String", Name=name)
+            continue
         word = {"f": "Float", "i": "Int", "u": "UInt"}[kind.kind] + str(8 * kind.itemsize)
         width = values.shape[1] if values.ndim > 1 else 1
         ElementTree.SubElement(element, "PDataArray", type=word, Name=name,

@@ -513,6 +513,30 @@ def test_arrays_that_some_pieces_lack_are_named(tmp_path):
     glued(tmp_path / "out.pvtu", len(start.points))
 
 
+def test_texts_come_through_and_field_data_are_named(tmp_path):
+    pyvista = pytest.importorskip("pyvista")
+    start = ball(400)
+    centres = start.points[start.cells].mean(axis=1)
+    (tmp_path / "in").mkdir()
+    names = set()
+    parts = bricks(start.points, start.cells, 2)
+    for part in np.unique(parts):
+        cells = start.cells[parts == part]
+        used, rows = np.unique(cells, return_inverse=True)
+        grid = pyvista.UnstructuredGrid(
+            {pyvista.CellType.TETRA: rows.reshape(cells.shape)}, start.points[used])
+        grid.cell_data["name"] = np.where(centres[parts == part, 0] > 0.1, f"part {part}" * 2, "b")
+        names |= set(map(str, grid.cell_data["name"]))
+        grid.point_data["text"] = np.array([f"{v}" for v in used])
+        grid.field_data["TimeValue"] = [1.5]
+        grid.save(tmp_path / "in" / f"{part}.vtu")
+    with pytest.warns(DataNotKeptWarning, match="field data of pieces do not come .*: TimeValue$"):
+        optimize_file(tmp_path / "in", tmp_path / "out.pvtu")
+    whole = pyvista.read(tmp_path / "out.pvtu")
+    assert set(map(str, whole.cell_data["name"])) == names
+    assert set(map(str, whole.point_data["text"])) == set(map(str, np.unique(start.cells)))
+
+
 def test_cell_arrays_come_through_as_they_do_in_one_piece(tmp_path, recwarn):
     start = ball(1500)
     centres = start.points[start.cells].mean(axis=1)
