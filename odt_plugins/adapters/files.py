@@ -163,7 +163,8 @@ def expect_same_kind(mesh: Any, target: str | os.PathLike[str]) -> None:
         msg = f"cannot write {what} to {target}; try a {other} file"
         raise MeshFileError(msg)
     name = chosen_format(Path(target))[0]
-    kinds = "" if scene or matches(mesh) else unheld(mesh, name)
+    copied = scene or matches(mesh) or _source(Path(target), mesh) is not None
+    kinds = "" if copied else unheld(mesh, name)
     if kinds:
         raise _not_written(Path(target), name, f"it holds no cells of type {kinds}")
 

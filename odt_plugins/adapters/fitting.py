@@ -128,6 +128,10 @@ def fitted(mesh: Any, name: str) -> tuple[Any, list[str]]:
     -------
     mesh : meshio.Mesh
     lost : list of str    cells that the format does not hold
+
+    Raises
+    ------
+    UnsupportedMeshError    the format holds none of the cells of the greatest dimension
     """
     form = FORMS.get(name)
     if form is None:
@@ -146,12 +150,15 @@ def fitted(mesh: Any, name: str) -> tuple[Any, list[str]]:
     if form is EVERYTHING:
         out.field_data = {_title(key, barred): array for key, values in out.field_data.items()
                           if (array := _held(np.atleast_1d(values), name, form)) is not None}
-    dim = max((block.dim for block in out.cells), default=0)
+    dim, kinds = max((block.dim for block in out.cells), default=0), unheld(out, name)
+    if kinds:
+        msg = f"it holds no cells of type {kinds}"
+        raise UnsupportedMeshError(msg)
     if not form.beside:
         main = next((kind for kind in MAIN if any(b.type == kind for b in out.cells)), None)
-        kinds = {b.type for b in out.cells if main is not None and len(b.data)} - {main}
+        others = {b.type for b in out.cells if main is not None and len(b.data)} - {main}
         lost = [f"{sum(len(b.data) for b in out.cells if b.type == kind)} cells of type {kind}"
-                for kind in sorted(kinds)]
+                for kind in sorted(others)]
         _choose(out, [i for i, b in enumerate(out.cells) if main in (None, b.type)])
     lines = form.lines and (name, dim) != ("su2", 3)
     for kind, held in (("vertex", form.vertices), ("line", lines), ("line3", form.bent)):
