@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from odt_plugins.adapters.formats.change import Change, NotRewritable
 from odt_plugins.adapters.regions import region_names, spreads
-from odt_plugins.errors import MeshFileError
+from odt_plugins.errors import MeshFileError, UnsupportedMeshError
 
 Name = tuple[str, int]
 """Part and number of a node or an element."""
