@@ -32,7 +32,7 @@ from odt_plugins.engine.retile.run import retile
 from odt_plugins.engine.run.judge import envelope_length
 from odt_plugins.engine.run.outcome import Leaving, Outcome, as_it_is, unchanged
 from odt_plugins.engine.run.work import extremes, make_start
-from odt_plugins.errors import counted
+from odt_plugins.errors import InvalidMeshError, counted
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.mesh.faces import Faces, joined, renumbered, without
 from odt_plugins.mesh.numbering import new_numbers
@@ -394,9 +394,12 @@ def _once(
     share = float(shares.max())
     report = options.progress or silent
     clock = time.perf_counter()
-    given, log = _resized(
-        mesh, sizes, asked, options, shares, partial(part(report, 0.0, 0.4), "resizing"),
-        relents=relents)
+    try:
+        given, log = _resized(
+            mesh, sizes, asked, options, shares, partial(part(report, 0.0, 0.4), "resizing"),
+            relents=relents)
+    except InvalidMeshError:
+        return unchanged(mesh, CUT), ["cells overlap where the surface folded over itself"]
     resized, envelope = given.outcome, envelope_length(mesh, options)
     onto = mesh.smooth if share > 0.0 else None
     left = envelope
