@@ -125,7 +125,8 @@ by_uv() {
             *.constraint) export UV_CONSTRAINT="$value" ;;
         esac
     done <<< "$(python -m pip config list | sort -r)"
-    python -m uv pip install --quiet "$@"
+    # Of all places the newest version, as with pip.
+    UV_INDEX_STRATEGY=unsafe-best-match python -m uv pip install --quiet "$@"
 }
 
 find_python() {
