@@ -18,6 +18,7 @@ from odt_plugins.engine.cells.tensors import determinants, eigenvalues, intersec
 from odt_plugins.engine.remesh.sizes import CONTENT
 from odt_plugins.errors import InvalidOptionError, expect, is_number
 from odt_plugins.mesh.arrays import FloatArray, IntArray
+from odt_plugins.mesh.numbers import real_numbers
 from odt_plugins.mesh.simplex import corner_mean, diagonal
 from odt_plugins.metric.given import MOST_RATIO
 from odt_plugins.metric.hessian import Tangents, recovered_hessians, tangents
@@ -294,15 +295,8 @@ def _values(host: HostMesh, given: Any) -> FloatArray:
             raise InvalidOptionError(msg)
         given = fields[given]
     raw = given(np.array(host.points, dtype=np.float64)) if callable(given) else given
-    try:
-        found = np.asarray(raw)
-        if found.dtype.kind in "cmMSU":
-            msg = f"they are of type {found.dtype}"
-            raise TypeError(msg)
-        field = found.astype(np.float64)
-    except (TypeError, ValueError) as exc:
-        msg = f"got values of a field that are no real numbers: {exc}; expected ({n},) or ({n}, c)"
-        raise InvalidOptionError(msg) from exc
+    field = real_numbers(
+        raw, "values of a field that are no real numbers", f"({n},) or ({n}, c)")
     if field.shape[:1] != (n,) or not field.size:
         msg = f"got values of a field of shape {field.shape}; expected ({n},) or ({n}, c)"
         raise InvalidOptionError(msg)

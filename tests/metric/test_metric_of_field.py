@@ -236,6 +236,7 @@ def test_lengths_grow_and_are_stretched_within_limits():
     ({"values": lambda x: np.where(x[:, 0] > 0.5, np.nan, 1.0)},
      r"got a field with NaN or infinite values at vertex \d+ \(\d+ of them\)"),
     ({"values": lambda x: 1j * x}, "are no real numbers: they are of type complex128"),
+    ({"values": lambda x: x[:, 0] > 0.5}, "are no real numbers: they are of type bool"),
     ({"cells": 0}, "got cells=0; expected an integer of at least 1"),
     ({"cells": 1e3}, "got cells=1000.0"),
     ({"norm": 0.5}, "got norm=0.5; expected a number of at least 1, or inf"),
