@@ -103,15 +103,17 @@ NETGEN = "netgen:index"
 BARRED = {"dolfin-xml": "/", "h5m": "/", "hmf": "/", "med": "/", "tecplot": '"\n'}
 """Letters that names of arrays cannot have in a format, where these are not ends of lines."""
 
-LINEAR = ("tetra", "triangle")
+SIMPLICES = ("tetra", "triangle")
+"""What formats hold that know no cells with nodes on edges."""
 
-FACES = ("triangle", "quad", "polygon")
+POLYGONS = ("triangle", "quad", "polygon")
+"""What formats of surfaces hold."""
 
 HELD = {
     "cgns": ("tetra",), "flac3d": ("tetra",), "tetgen": ("tetra", "tetra10"),
-    **dict.fromkeys(("avsucd", "dolfin-xml", "h5m", "medit", "su2", "tecplot", "ugrid"), LINEAR),
-    **dict.fromkeys(("obj", "off", "ply", "stl"), FACES),
-    "vtp": (*FACES, "line", "vertex"), "wkt": ("triangle",),
+    **dict.fromkeys(("avsucd", "dolfin-xml", "h5m", "medit", "su2", "tecplot", "ugrid"), SIMPLICES),
+    **dict.fromkeys(("obj", "off", "ply", "stl"), POLYGONS),
+    "vtp": (*POLYGONS, "line", "vertex"), "wkt": ("triangle",),
 }
 """Formats without some cells of this package, and which of the greatest dimension they hold."""
 

@@ -26,14 +26,14 @@ ON_SEAM = 1e-6
 SEAM = "texture seam"
 """Kind of the edges within a chart across which texture coordinates jump."""
 
-
 TEXTURE = "texcoord"
 """Cell data of the texture coordinates of the corners of triangles."""
 
 NAMES = re.compile(r"(?i)(off:)?texture([ _]?coordinates)?|tcoords")
+"""Names of arrays of the texture coordinates of vertices."""
 
 PAIRS = (("s", "t"), ("texture_u", "texture_v"))
-"""Names of the texture coordinates of vertices: of one array, and of two in PLY files."""
+"""Names of two arrays of them, as PLY files have."""
 
 
 def charts(
