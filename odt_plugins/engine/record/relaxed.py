@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from odt_plugins.engine.record.figures import Figures
+from odt_plugins.engine.record.figures import COS_SMALL, Figures
+from odt_plugins.mesh.arrays import BoolArray, FloatArray
 from odt_plugins.promise.good import good_enough
 
 
@@ -19,3 +20,18 @@ def relaxed(before: Figures, keep: tuple[str, ...], corners: int) -> Figures:
         before, min_quality=good["min_quality"], p1_quality=good["p1_quality"],
         mean_quality=good["mean_quality"], small_angles=good["share_below_20"],
         cos_min_angle=small, cos_max_angle=large))
+
+
+def spoiling(
+    bounds: Figures, after: Figures, shapes: FloatArray, keep: tuple[str, ...]
+) -> BoolArray:
+    """Which cells (m,) of a mesh pass extremes of bounds, or are of a tail that is worse.
+
+    ``after`` are the figures of that mesh, ``shapes`` its ``figures.cell_shapes``.
+    """
+    spoiled, worse = bounds.passed_by(shapes, keep), after.worse_than(bounds, keep)
+    if "p1_quality" in worse:
+        spoiled |= shapes[:, 0] < bounds.p1_quality
+    if "share_below_20" in worse:
+        spoiled |= shapes[:, 1] > COS_SMALL
+    return spoiled

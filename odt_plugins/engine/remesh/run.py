@@ -17,7 +17,7 @@ from odt_plugins.engine.odt.density import NodalDensity, make_density
 from odt_plugins.engine.odt.rounds import Log
 from odt_plugins.engine.record.figures import Figures, cell_shapes, figures
 from odt_plugins.engine.record.memory import State
-from odt_plugins.engine.record.relaxed import relaxed
+from odt_plugins.engine.record.relaxed import relaxed, spoiling
 from odt_plugins.engine.remesh.chords import sizes_as_wished
 from odt_plugins.engine.remesh.distance import CUT, beyond, furthest
 from odt_plugins.engine.remesh.finish import MORE, Resized, Room, finished, sums
@@ -339,11 +339,8 @@ def _allowed(mesh: SimplexMesh, options: Options) -> Figures:
 
 def _spoiled(mesh: SimplexMesh, outcome: Outcome, sizes: Sizes, options: Options) -> BoolArray:
     """Cells (m,) of the input near cells that pass its extremes, or near triangles that cross."""
-    keep, before = tuple(options.keep), _allowed(mesh, options)
     shapes = cell_shapes(*as_seen(outcome.points, outcome.cells, outcome.metric))
-    bad = before.passed_by(shapes, keep)
-    if "p1_quality" in _figures(outcome).worse_than(before, keep):
-        bad |= shapes[:, 0] < before.p1_quality
+    bad = spoiling(_allowed(mesh, options), _figures(outcome), shapes, tuple(options.keep))
     near = _near(mesh, outcome, outcome.cells[bad], sizes) | _near(
         mesh, outcome, _crossed(outcome), sizes)
     return np.asarray(near[mesh.cells].any(axis=1))

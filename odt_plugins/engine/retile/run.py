@@ -16,7 +16,7 @@ from odt_plugins.engine.ground.reference import make_reference
 from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.record.figures import cell_shapes, figures
 from odt_plugins.engine.record.memory import State
-from odt_plugins.engine.record.relaxed import relaxed
+from odt_plugins.engine.record.relaxed import relaxed, spoiling
 from odt_plugins.engine.retile.areas import labels_beside
 from odt_plugins.engine.retile.net import Net
 from odt_plugins.engine.retile.surface import Base, resize
@@ -221,8 +221,8 @@ def _judged(
     bad = np.zeros(len(points), dtype=np.bool_)
     if broken:
         bounds = relaxed(figures(*as_seen(mesh.points, mesh.cells, mesh.metric)), keep, 3)
-        passed = bounds.passed_by(cell_shapes(*as_seen(points, cells, metric)), keep)
-        bad[cells[passed]] = True
+        seen = as_seen(points, cells, metric)
+        bad[cells[spoiling(bounds, figures(*seen), cell_shapes(*seen), keep)]] = True
         if mesh.is_surface:
             bad[cells[without_area(points, cells)]] = True
     x, y = in_space(mesh.points), in_space(points)

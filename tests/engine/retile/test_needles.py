@@ -98,3 +98,30 @@ def test_needles_that_meet_in_tips_become_good_triangles(sections, tip, asked, l
     found = quality(made, new)
     assert found.min() > least
     assert found.mean() > 0.93
+
+
+def spiked(n, length):
+    """A bent square of n x n squares, with one needle on its rim."""
+    at = np.linspace(0.0, 1.0, n + 1)
+    x, y = np.meshgrid(at, at, indexing="ij")
+    number = np.arange((n + 1) ** 2).reshape(n + 1, n + 1)
+    a, b, c, d = (number[i : n + i, j : n + j].ravel() for i, j in ((0, 0), (1, 0), (1, 1), (0, 1)))
+    ends = number[-1, n // 2 : n // 2 + 2]
+    points = np.vstack([np.column_stack([x.ravel(), y.ravel(), 0.1 * x.ravel() ** 2]),
+                        [1.0 + length, y[-1, n // 2 : n // 2 + 2].mean(), 0.1]])
+    needle = [[ends[0], len(points) - 1, ends[1]]]
+    return points, np.concatenate([np.c_[a, b, c], np.c_[a, c, d], needle]).astype(np.int32)
+
+
+@pytest.mark.parametrize(("keep", "scale", "cells"), [
+    ("p1_quality", 0.7, (900, 1500)), ("p1_quality", 1.6, (200, 400)),
+    ("share_below_20", 0.7, (900, 1500))])
+def test_where_more_cells_would_be_bad_the_input_stays_there_alone(keep, scale, cells):
+    given = spiked(18, 2.0)
+    before = quality(*given)
+    (made, new), report = odt_plugins.remesh_with_report(given, scale=scale, keep=(keep,))
+    assert cells[0] < len(new) < cells[1]
+    assert keep in report.fallback
+    found = quality(made, new)
+    assert np.quantile(found, 0.01) > min(np.quantile(before, 0.01), 0.5)
+    assert (found < 0.1).sum() <= (before < 0.1).sum()
