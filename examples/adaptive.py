@@ -154,7 +154,7 @@ def by_remesh(solved: Solved, size: np.ndarray) -> tuple[Mesh, np.ndarray | None
     points, cells = solved.mesh
     kind = "triangle" if points.shape[1] == 2 else "tetra"
     mesh = meshio.Mesh(points, [(kind, cells)], point_data={"u": solved.values})
-    out = odt_plugins.remesh(mesh, size=size, free="periodic", fields="conserve")
+    out = odt_plugins.remesh(mesh, size=size, fields="conserve")
     return (out.points, out.cells[0].data), out.point_data["u"]
 
 

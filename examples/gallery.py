@@ -165,7 +165,7 @@ def adapted_to_front(d: int, cells: int, rounds: int = 4) -> Arrays:
     mesh: Arrays = grid.p.T.copy(), grid.t.T.copy()
     for _ in range(rounds):
         metric = odt_plugins.metric_from_field(mesh, front, cells)
-        mesh = odt_plugins.remesh(mesh, metric=metric, free="periodic")
+        mesh = odt_plugins.remesh(mesh, metric=metric)
     return mesh
 
 

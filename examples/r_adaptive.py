@@ -42,7 +42,7 @@ def main(argv: Iterable[str] | None = None) -> list[Solved]:
     parser.add_argument("--steps", type=int, default=5)
     given = parser.parse_args(None if argv is None else list(argv))
     size = (3.0 / given.cells / REGULAR[2]) ** 0.5
-    even = odt_plugins.remesh(start(2), size, free="periodic")
+    even = odt_plugins.remesh(start(2), size)
     done = [solve(odt_plugins.optimize(even, density="uniform", boundary="slide", keep=()))]
     for _ in range(given.steps):
         mesh = odt_plugins.optimize(

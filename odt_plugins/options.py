@@ -263,7 +263,7 @@ class Options:
         "What is treated as any other, though it stays as it is unless it is named. periodic: "
         "faces that correspond to each other when the boundary slides, which are those that the "
         "mesh calls so, and opposite plane ones of tetrahedra whose triangles match under one "
-        "translation (remeshing: no grids of equal ones). inside: "
+        "translation (remeshing: those of several labels). inside: "
         "vertices of triangles beside tetrahedra, and of lines beside triangles in the plane, "
         "inside of a region, such as baffles, cracks and membranes; each remains a face of a "
         "cell, and what they make up bends. layers: many tetrahedra, or triangles in the plane, "

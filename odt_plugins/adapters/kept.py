@@ -401,7 +401,7 @@ def hold_places(
     mesh : SimplexMesh     a curved surface, or tetrahedra whose boundary slides
     host : HostMesh        that it comes from
     periodic : bool        whether faces that correspond to each other are held
-    resized : bool         whether those of grids, which do so by chance, are not
+    resized : bool         whether those that do so by chance are not
 
     Returns
     -------
@@ -421,10 +421,13 @@ def hold_places(
                      f"takes no parameters of points there")
     disagree = mesh.is_surface and mesh.frozen.any()
     if periodic:
-        mesh, count = _hold_periodic(mesh, host.coupled, grids=not resized)
+        mesh, count, chance = _hold_periodic(mesh, host.coupled, resized=resized)
         if count:
             notes.append(f"{counted(count, 'vertex', 'vertices')} of periodic faces stay, so that "
                          f"the faces still correspond; try free='periodic' to let them slide")
+        if chance:
+            notes.append(f"opposite faces of {counted(chance, 'triangle')} match, by chance as it "
+                         f"seems, and need not do so afterwards; try boundary='fixed' to keep them")
     if disagree:
         edges = disagreeing_edges(mesh)
         if len(edges):
@@ -446,22 +449,37 @@ def _places(mesh: SimplexMesh, edges: IntArray) -> str:
 
 
 def _hold_periodic(
-    mesh: SimplexMesh, coupled: NDArray[Any] | None, *, grids: bool
-) -> tuple[SimplexMesh, int]:
-    """Hold faces that correspond to each other, and say how many vertices they have."""
+    mesh: SimplexMesh, coupled: NDArray[Any] | None, *, resized: bool
+) -> tuple[SimplexMesh, int, int]:
+    """Hold faces that correspond to each other; how many vertices they and triangles others have.
+
+    The others do so by chance where they are ``resized``, and are not held.
+    """
     held, used = np.zeros((2, len(mesh.points)), dtype=np.bool_)
     used[mesh.cells] = True
     if coupled is not None:
         held[coupled] = used[coupled]
     if mesh.is_surface:
         mesh = freeze(mesh, np.asarray(held[mesh.cells].all(axis=1)), np.flatnonzero(held))
-        return with_same_cells(mesh, coupled=held), int(held.sum())
-    facets = mesh.uneven.open
+        return with_same_cells(mesh, coupled=held), int(held.sum()), 0
+    facets, chance = mesh.uneven.open, 0
     same = [facets[held[facets].all(axis=1)]]
     if facets.shape[1] == 3:
-        same.append(periodic_triangles(mesh.points, facets, grids=grids))
+        found, others = periodic_triangles(
+            mesh.points, facets, _between_labels(mesh) if resized else None)
+        same.append(found)
+        chance = int((~held[others].all(axis=1)).sum())
     facets = np.concatenate(same)
     held[facets] = True
     mesh = freeze(mesh, mesh.frozen, np.flatnonzero(held))
     stays = np.concatenate([mesh.stays, _edges(facets)])
-    return with_same_cells(mesh, stays=stays, coupled=held), int(held.sum())
+    return with_same_cells(mesh, stays=stays, coupled=held), int(held.sum()), chance
+
+
+def _between_labels(mesh: SimplexMesh) -> BoolArray:
+    """Vertices (n,) of cells of several labels."""
+    least, most = np.full(len(mesh.points), np.iinfo(np.int64).max), np.full(len(mesh.points), -1)
+    for corners in mesh.cells.T:
+        np.minimum.at(least, corners, mesh.regions)
+        np.maximum.at(most, corners, mesh.regions)
+    return np.asarray(least < most)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.mesh.arrays import FloatArray
+from odt_plugins.mesh.arrays import BoolArray, FloatArray
 from odt_plugins.mesh.facets import row_keys
 from odt_plugins.mesh.simplex import diagonal
 
@@ -18,8 +18,8 @@ STEPS = 1000
 
 
 def periodic_triangles(
-    points: FloatArray, triangles: NDArray[np.int64], *, grids: bool = True
-) -> NDArray[np.int64]:
+    points: FloatArray, triangles: NDArray[np.int64], several: BoolArray | None = None
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Find the triangles of opposite faces of a mesh that match under one translation.
 
     A face are all triangles of the boundary in a plane that has the whole mesh on one side. Two
@@ -29,28 +29,30 @@ def periodic_triangles(
     Parameters
     ----------
     points : (n, 3) float64
-    triangles : (t, 3) int64    of the boundary
-    grids : bool                whether faces count all of whose triangles are congruent
+    triangles : (t, 3) int64           of the boundary
+    several : (n,) bool, optional      whether a vertex is between labels: faces without such ones,
+                                       or whose triangles are all congruent, match by chance
 
     Returns
     -------
-    (s, 3) int64                those on faces that match
+    (s, 3) int64, (c, 3) int64         those on faces that match, and those that do so by chance
     """
+    found, chance = np.zeros((2, len(triangles)), dtype=np.bool_)
     used = np.unique(triangles)
     if not used.size:
-        return triangles
+        return triangles[found], triangles[chance]
     x = points[used]
     rows = np.searchsorted(used, triangles)
     close = CLOSE * diagonal(x)
-    found = np.zeros(len(rows), dtype=np.bool_)
     for normal in _directions(x, rows):
         height = x[:, 0] * normal[0] + x[:, 1] * normal[1] + x[:, 2] * normal[2]
         low, high = ((np.abs(height - end) <= close)[rows].all(axis=1)
                      for end in (height.min(), height.max()))
-        if _match(x, rows[low], rows[high], close) and (
-                grids or not _congruent(x, rows[low], close)):
-            found |= low | high
-    return triangles[found]
+        if _match(x, rows[low], rows[high], close):
+            meant = several is None or (
+                several[triangles[low]].any() and not _congruent(x, rows[low], close))
+            (found if meant else chance)[low | high] = True
+    return triangles[found], triangles[chance & ~found]
 
 
 def _congruent(x: FloatArray, rows: NDArray[np.int64], close: float) -> bool:

@@ -109,7 +109,7 @@ def start(d: int) -> Mesh:
 
 def by_us(mesh: Mesh, metric: FloatArray) -> Mesh:
     """The next mesh by this package."""
-    points, cells = odt_plugins.remesh(mesh, metric=metric, free="periodic")
+    points, cells = odt_plugins.remesh(mesh, metric=metric)
     return points, cells
 
 

@@ -168,32 +168,49 @@ def test_opposite_faces_that_match_in_any_mesh_still_do_when_the_surface_slides(
     assert (free != points @ turn.T).any(axis=1).sum() > 64
 
 
-def test_grids_correspond_by_chance_where_they_get_other_sizes():
+@pytest.mark.parametrize("power", [1.0, 1.3])
+def test_faces_of_one_label_correspond_by_chance_where_they_get_other_sizes(power):
     points, cells = regular(3, 4)
+    points = points**power
     walls = uneven_facets(cells, len(points)).open
-    assert len(periodic_triangles(points, walls)) == 6 * 32
-    assert not len(periodic_triangles(points, walls, grids=False))
+    assert [len(rows) for rows in periodic_triangles(points, walls)] == [6 * 32, 0]
     out, report = odt_plugins.remesh_with_report((points, cells), scale=2)
-    assert "periodic" not in str(report)
-    sides = uneven_facets(out[1], len(out[0])).open
-    assert len(sides) < 0.6 * len(walls)
-    graded = points**1.3
-    held = periodic_triangles(graded, walls, grids=False)
-    assert len(held) == 6 * 32
-    out, report = odt_plugins.remesh_with_report((graded, cells), scale=2)
-    assert "of periodic faces stay" in str(report)
-    assert {p.tobytes() for p in graded[np.unique(held)]} <= {p.tobytes() for p in out[0]}
+    assert "opposite faces of 192 triangles match, by chance" in str(report)
+    assert "try boundary='fixed'" in str(report)
+    assert len(uneven_facets(out[1], len(out[0])).open) < 0.6 * len(walls)
+    _, report = odt_plugins.remesh_with_report((points, cells), scale=2, boundary="fixed")
+    assert "opposite faces" not in str(report)
+
+
+def test_faces_of_several_labels_that_correspond_stay_where_others_get_other_sizes():
+    points, cells = regular(3, 4)
+    points = points**1.3
+    labels = (points[cells][..., 0].mean(axis=1) > points[:, 0].mean()).astype(int)
+    walls = uneven_facets(cells, len(points)).open
+    between = np.isclose(points[:, 0], 0.5**1.3)
+    held, chance = periodic_triangles(points, walls, between)
+    assert set(map(tuple, held)) == {
+        tuple(row) for row in walls
+        if not np.isclose(points[row], points[row[0]]).all(axis=0)[0]}
+    assert len(held) + len(chance) == len(walls)
+    assert len(periodic_triangles(regular(3, 4)[0], walls, between)[1]) == len(walls)
+    (out, *_), report = odt_plugins.remesh_with_report((points, cells, labels), scale=2)
+    assert f"opposite faces of {len(chance)} triangles match, by chance" in str(report)
+    assert f"{len(np.unique(held))} vertices of periodic faces stay" in str(report)
+    assert {p.tobytes() for p in points[np.unique(held)]} <= {p.tobytes() for p in out}
+    inside = np.flatnonzero((points[:, 0] == 0.0) & ~np.isin(points[:, 1:], [0.0, 1.0]).any(axis=1))
+    assert not {p.tobytes() for p in points[inside]} <= {p.tobytes() for p in out}
 
 
 def test_faces_that_hardly_match_slide():
     points, cells = box(4)
     faces = np.flatnonzero(np.isclose(points, 1).sum(axis=1) == 1)
-    first = periodic_triangles(points, uneven_facets(cells, len(points)).open)
+    first, _ = periodic_triangles(points, uneven_facets(cells, len(points)).open)
     assert len(first) == 6 * 32
     for axis in range(3):
         at = faces[np.isclose(points[faces, axis], 1)]
         points[at[0], axis - 1] += 0.01
-    assert not len(periodic_triangles(points, uneven_facets(cells, len(points)).open))
+    assert not len(periodic_triangles(points, uneven_facets(cells, len(points)).open)[0])
     _, report = odt_plugins.optimize_with_report((points, cells), boundary="slide")
     assert "periodic" not in str(report)
 
@@ -205,10 +222,10 @@ def test_a_translation_and_the_same_triangles_are_what_matches():
     sides = np.array([[0, 1, 5], [0, 5, 4], [1, 2, 6], [1, 6, 5], [3, 2, 6], [3, 6, 7], [0, 3, 7],
                       [0, 7, 4]])
     whole = np.concatenate([square, square + 4, sides])
-    assert len(periodic_triangles(points, whole)) == 12
+    assert len(periodic_triangles(points, whole)[0]) == 12
     other = np.concatenate([square, [[4, 5, 7], [5, 6, 7]], sides])
-    assert {tuple(row) for row in periodic_triangles(points, other).tolist()} == {
+    assert {tuple(row) for row in periodic_triangles(points, other)[0].tolist()} == {
         tuple(row) for row in sides.tolist()}
     mirrored = points.copy()
     mirrored[4:, :2] *= [1.2, 1.1]
-    assert not len(periodic_triangles(mirrored, whole))
+    assert not len(periodic_triangles(mirrored, whole)[0])
