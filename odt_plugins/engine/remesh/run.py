@@ -238,7 +238,7 @@ def _tries(
     boundary that stays.
     """
     whys: list[str] = []
-    slides = options.boundary == "slide"
+    slides, falls = options.boundary == "slide", False
     wanted, relents, narrow = sizes, len(mesh.metric) > 0, np.ones(len(mesh.points))
     for share in (*(SHARES if slides else ()), 0.0):
         held = mesh
@@ -273,6 +273,8 @@ def _tries(
             if not few and not (falls and longer):
                 break
             wanted = longer or wanted
+        if falls:
+            wanted = _nearer(mesh, wanted, np.zeros(len(mesh.cells), dtype=np.bool_)) or wanted
     return None, whys[-1]
 
 

@@ -171,14 +171,14 @@ def _flip_sheet(skin: Skin, a: int, b: int, room: Work) -> bool:
     number = claim(sheet, ground, pair, limits.distance, room)
     if number < 0:
         flip_back(sheet, t, s, edge)
-        return False
-    cover(sheet, pair, number, room)
-    for v in (np.int64(a), np.int64(b), np.int64(x), np.int64(y)):
-        spend(volume, 0.25 * change, v)
+    else:
+        cover(sheet, pair, number, room)
+        for v in (np.int64(a), np.int64(b), np.int64(x), np.int64(y)):
+            spend(volume, 0.25 * change, v)
     for m in range(3):
         fan[sheet.triangles[t, m]] = t
         fan[sheet.triangles[s, m]] = s
-    return True
+    return number >= 0
 
 
 @allocating_kernel

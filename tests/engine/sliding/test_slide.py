@@ -36,6 +36,7 @@ from odt_plugins.engine.record.memory import Memory
 from odt_plugins.engine.run import plan, retreat
 from odt_plugins.engine.run.plan import run
 from odt_plugins.engine.run.within import Within
+from odt_plugins.engine.sliding import skin as sliding_skin
 from odt_plugins.engine.sliding.skin import flip_skin, make_skin
 from odt_plugins.engine.topology.complex import make_complex
 from odt_plugins.errors import InvalidOptionError
@@ -301,6 +302,34 @@ def test_a_flat_cell_of_the_surface_goes_unless_an_interface_is_behind_it(label,
     flat = np.array([True, False, False])
     assert flip_skin(tets, skin, flat, Cost(QUALITY, 2.0), LIMITS) == flips
     assert len(tets.live()) == 3 - flips
+
+
+@pytest.mark.parametrize(("n", "seed"), [(500, 6), (800, 2), (800, 3)])
+def test_every_vertex_of_the_surface_knows_a_triangle_where_flips_were_undone(
+        n, seed, monkeypatch):
+    wrong = []
+
+    def checked(mesh, skin, near, cost, bounds):
+        flips = flip_skin(mesh, skin, near, cost, bounds)
+        used = np.unique(skin.sheet.triangles)
+        wrong.append((skin.sheet.triangles[skin.fan[used]] != used[:, None]).all(axis=1).sum())
+        return flips
+
+    monkeypatch.setattr(sliding_skin, "flip_skin", checked)
+    odt_plugins.optimize(ball(n, seed), boundary="slide")
+    assert len(wrong) > 3
+    assert not any(wrong)
+
+
+def test_frozen_cells_beside_flips_that_are_undone_are_no_error():
+    points, cells = ball(350, 7)
+    order = np.argsort(quality(points, cells))
+    selection = np.ones(len(cells), dtype=bool)
+    selection[order[: len(cells) // 100]] = False
+    x, t = odt_plugins.remesh((points, cells), scale=1.4, selection=selection)
+    assert signed_volumes(x, t).min() > 0.0
+    was = {tuple(sorted(map(tuple, points[cell]))) for cell in cells[~selection]}
+    assert was <= {tuple(sorted(map(tuple, x[cell]))) for cell in t}
 
 
 def test_edges_that_stay_are_not_flipped_and_held_vertices_not_moved():
