@@ -96,14 +96,17 @@ def write(result: Result, host: HostMesh) -> Any:
     out = replace(mesh, doflocs=places.T.copy(), t=cells.T.copy(), _boundaries=None,
                   _subdomains=None)
     subdomains, boundaries = mesh.subdomains, mesh.boundaries
+    inside = {name: _members(mesh, name) for name in subdomains or {}}
     if subdomains is not None:
-        inside = {name: _members(mesh, name) for name in subdomains}
         subdomains = {name: np.flatnonzero(mask[result.source]).astype(subdomains[name].dtype)
                       for name, mask in inside.items()}
     if boundaries is not None:
+        masks = np.array([*inside.values(), np.zeros(mesh.t.shape[1], dtype=np.bool_)])
+        labels = np.unique(masks, axis=1, return_inverse=True)[1].ravel()
         boundaries = {
             name: _moved_facets(mesh, out, facets, _renumbered(
-                result.faces_of(i, host.kept[i].rows), number, host.kept[i].rows.shape[1]))
+                result.faces_of(i, host.kept[i].rows), number, host.kept[i].rows.shape[1]),
+                (labels, labels[result.source]))
             for i, (name, facets) in enumerate(boundaries.items())}
     return replace(out, _subdomains=subdomains, _boundaries=boundaries)
 
@@ -134,24 +137,36 @@ def _labels(mesh: Any, regions: str | Sequence[str] | None, cells: NDArray[Any])
     return region_labels(arrays, regions, cells)
 
 
-def _moved_facets(old: Any, new: Any, facets: NDArray[Any], now: NewFaces) -> NDArray[Any]:
+def _moved_facets(
+    old: Any, new: Any, facets: NDArray[Any], now: NewFaces,
+    labels: tuple[NDArray[np.intp], NDArray[np.intp]],
+) -> NDArray[Any]:
     """Facets in the numbering of another mesh, with their orientation if they have one.
+
+    They point out of elements with the labels of those that the old ones point out of, between
+    elements of one label in the direction of the old ones.
 
     Parameters
     ----------
     old, new : skfem.Mesh
     facets : (q,) int    of the old mesh
     now : NewFaces       what they have become
+    labels : (m,), (m',) int    of the elements of both meshes
     """
     there = np.sort(new.facets.T, axis=1).astype(np.int32)
     found = labels_at(now.rows, Faces(there, np.arange(len(there), dtype=np.int32)))
     found = found.astype(np.asarray(facets).dtype)
-    sides = getattr(facets, "ori", None)
+    kind, sides = type(facets), getattr(facets, "ori", None)
     if sides is None:
         return found
-    was = _outward(old, np.asarray(facets), np.asarray(sides).astype(np.int64))[:, now.source]
-    here = _outward(new, found, np.zeros(len(found), dtype=np.int64))
-    return type(facets)(found, ((was * here).sum(axis=0) < 0.0).astype(np.asarray(sides).dtype))
+    facets, side = np.asarray(facets), np.asarray(sides).astype(np.int64)
+    was = _outward(old, facets, side)[:, now.source]
+    turned = (was * _outward(new, found, np.zeros_like(found))).sum(axis=0) < 0.0
+    own = labels[0][old.f2t[side, facets]][now.source]
+    first, second = labels[1][new.f2t[:, found]]
+    turned = np.where((first != second) & ((first == own) | (second == own)), second == own, turned)
+    turned &= new.f2t[1, found] >= 0
+    return kind(found, turned.astype(np.asarray(sides).dtype))
 
 
 def _outward(mesh: Any, facets: NDArray[Any], sides: NDArray[np.int64]) -> NDArray[np.float64]:

@@ -150,3 +150,17 @@ def test_oriented_boundaries_stay_oriented(kind):
             fluxes.append(form.assemble(basis))
         assert fluxes[1] == pytest.approx(fluxes[0], rel=1e-9)
         assert abs(fluxes[0]) > 0.1
+
+
+@pytest.mark.parametrize("n", [4, 5])
+def test_resized_boundaries_point_out_of_their_subdomain(n):
+    """Also beside edges of the surface, and where the interface is as rough as the mesh."""
+    points, cells, labels = contract.grid(3, n)
+    mesh = skfem.MeshTet(points.T.copy(), cells.T.copy())
+    mesh = mesh.with_subdomains({"part": np.flatnonzero(labels == 7)})
+    mesh = mesh.with_boundaries({"around": mesh.facets_around("part")})
+    out = odt_plugins.remesh(mesh, 0.12)
+    found, wanted = out.boundaries["around"], out.facets_around("part")
+    assert len(found) > len(mesh.boundaries["around"])
+    assert (dict(zip(found.tolist(), found.ori.tolist(), strict=True))
+            == dict(zip(wanted.tolist(), wanted.ori.tolist(), strict=True)))
