@@ -45,6 +45,7 @@ from odt_plugins.following import (
     expect_overlaps,
     follow,
     interpolated,
+    interpolates,
     locating,
     new_faces,
     new_vertices,
@@ -190,7 +191,8 @@ def run_engine(
         "integrals": data.cell_integrals, "point_integrals": data.point_integrals}
     result = Result(
         points, as_indices(cells, work.host.cells), source, work.mesh.is_surface,
-        feet_of(work.host, work.mesh, places, cells, outcome.origin),
+        feet_of(work.host, work.mesh, places, cells, outcome.origin,
+                follow=interpolates(work, options)),
         data.vertices if not work.host.higher_order else None,
         locate=locating(work, given, options.threads) if fields else None, same=same,
         of_cells=data.of_cells, faces=faces,

@@ -12,22 +12,23 @@ from odt_plugins.mesh.simplex import SimplexMesh
 
 def feet_of(
     host: HostMesh, mesh: SimplexMesh, points: FloatArray, cells: IntArray,
-    origin: NDArray[np.int64] | None,
+    origin: NDArray[np.int64] | None, *, follow: bool,
 ) -> Feet | None:
-    """Feet of the vertices that moved along a textured surface, or came.
+    """Feet of the vertices that moved along a textured surface or in its plane, or came.
 
     Parameters
     ----------
     host, mesh : HostMesh, SimplexMesh    the input as it came and as the engine reads it
     points : (n', d) float64, cells : (m', 3) int
     origin : (n',) int or None            input vertex of every vertex where some came or went
+    follow : bool                         whether those in a plane follow where none came or went
 
     Returns
     -------
     Feet                                  None where no texture coordinates are others
     """
-    flat = not mesh.is_surface
-    if not host.textured or host.cells.shape[1] != 3 or (flat and origin is None):
+    stay = not (mesh.is_surface or follow or origin is not None)
+    if not host.textured or host.cells.shape[1] != 3 or stay:
         return None
     from odt_plugins.engine.surface.in_plane import in_space
     from odt_plugins.engine.surface.judge import barycentric, feet_on

@@ -233,6 +233,7 @@ def write(result: Result, host: HostMesh) -> Any:
             out.cell_data[name][i] = values[here]
     if result.curved and not host.higher_order:
         _renew_normals(out, result, host)
+    if result.feet is not None and not host.higher_order:
         for name, values in of_vertices(host.source.point_data).items():
             moved = slid(values, host.cells, result.feet)
             out.point_data[name] = moved.reshape(-1, *np.shape(out.point_data[name])[1:])

@@ -1,10 +1,10 @@
 """pyvista.UnstructuredGrid of tetrahedra or triangles, pyvista.PolyData of triangles.
 
 Everything survives: class, dtype of the points, point, cell and field data, active arrays and
-user dictionary. On a curved surface the active normals are computed anew, and the active texture
-coordinates are interpolated at the new places of the vertices. Other linear cells (lines,
-boundary triangles, quadrilaterals, hexahedra, ...) come back as they are. Quadratic and Lagrange
-triangles and tetrahedra are optimised by their corners, see
+user dictionary. On a curved surface the active normals are computed anew. The active texture
+coordinates of triangles are interpolated at the new places of the vertices. Other linear cells
+(lines, boundary triangles, quadrilaterals, hexahedra, ...) come back as they are. Quadratic and
+Lagrange triangles and tetrahedra are optimised by their corners, see
 :mod:`odt_plugins.adapters.higher_order`; other cells of higher order, such cells beside linear
 ones, polyhedra and triangle strips are refused by name.
 """
@@ -165,7 +165,7 @@ def write(result: Result, host: HostMesh) -> Any:
         _carry_point_data(out, host.source, lambda name, values: vertices.carried(
             values, name, field=name in host.fields), list(host.fields) if number is None else None)
     _carry_cell_data(out, host.source, rows, result, ids)
-    if result.curved and nodes is None:
+    if nodes is None:
         _follow_surface(out, result, host, rows)
     return out
 
@@ -176,9 +176,11 @@ def _follow_surface(out: Any, result: Result, host: HostMesh, rows: IndexArray) 
     `rows` tells for every new cell in which row of the caller's cell data it had its data.
     """
     name = out.point_data.active_texture_coordinates_name
-    if name is not None:
+    if name is not None and result.feet is not None:
         out.point_data[name] = slid(
             np.asarray(host.source.point_data[name]), host.cells, result.feet)
+    if not result.curved:
+        return
     name = out.point_data.active_normals_name
     if name is not None:
         out.point_data[name] = renewed(

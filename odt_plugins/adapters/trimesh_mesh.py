@@ -3,7 +3,7 @@
 Everything survives: class, metadata, colours of vertices or faces, texture coordinates with their
 material, material of every face, attributes of vertices and faces, density and centre of mass if
 they were set. trimesh itself computes normals, and all else that it caches, anew when it is asked.
-On a curved surface texture coordinates are interpolated at the new places of the vertices.
+Texture coordinates are interpolated at the new places of the vertices.
 Primitives, such as `trimesh.primitives.Box`, have no other vertices than their own and are refused.
 """
 

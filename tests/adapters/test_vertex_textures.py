@@ -1,11 +1,15 @@
-"""Texture coordinates of vertices and of triangles of open3d, which move along the surface."""
+"""Texture coordinates of vertices and of triangles, which move along the surface or in a plane."""
 
 from __future__ import annotations
 
 import warnings
+from functools import partial
 
+import contract
+import meshio
 import numpy as np
 import pytest
+import pyvista
 import trimesh
 
 import odt_plugins
@@ -70,3 +74,46 @@ def test_vertices_on_seams_have_the_texture_of_both_charts(round_, scale, region
     if not across:
         np.testing.assert_allclose(off, np.rint(off) if round_ else 0.0, rtol=0, atol=1e-9)
         assert np.ptp(np.rint(off), axis=1).max() == 0
+
+
+def in_plane(kind):
+    """A jittered square whose texture coordinates are its x and y; how to read these and places."""
+    points, cells, _ = contract.grid(2, 10)
+    space, uv = contract.in_space(points), points.copy()
+    if kind == "trimesh":
+        mesh = trimesh.Trimesh(space, cells, process=False)
+        mesh.visual = trimesh.visual.TextureVisuals(uv=uv)
+        return mesh, lambda out: (out.visual.uv, out.vertices)
+    if kind == "open3d":
+        mesh = open3d.t.geometry.TriangleMesh(space, cells)
+        mesh.vertex["texture_uvs"] = open3d.core.Tensor(uv)
+        return mesh, lambda out: (out.vertex["texture_uvs"].numpy(),
+                                  out.vertex["positions"].numpy())
+    if kind == "meshio":
+        mesh = meshio.Mesh(space, [("triangle", cells)], point_data={"TCoords": uv})
+        return mesh, lambda out: (out.point_data["TCoords"], out.points)
+    mesh = pyvista.PolyData.from_regular_faces(space, cells)
+    mesh.active_texture_coordinates = uv
+    return mesh, lambda out: (np.array(out.active_texture_coordinates), out.points)
+
+
+@pytest.mark.parametrize("run", [
+    partial(odt_plugins.optimize, fields="interpolate"),
+    partial(odt_plugins.optimize, fields="interpolate", boundary="slide"),
+    partial(odt_plugins.remesh, scale=1.5), partial(odt_plugins.remesh, scale=0.7)])
+@pytest.mark.parametrize("kind", ["trimesh", "open3d", "meshio", "pyvista"])
+def test_they_stay_where_they_were_in_the_plane(kind, run):
+    mesh, read = in_plane(kind)
+    uv, points = read(run(mesh))
+    assert len(points) != 121 or np.abs(points - read(mesh)[1]).max() > 0.01
+    np.testing.assert_allclose(uv, points[:, :2], atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["trimesh", "open3d", "meshio", "pyvista"])
+def test_in_the_plane_they_do_what_fields_do(kind):
+    """They stay with their vertices where the toolkit's own filters keep, or the caller says so."""
+    mesh, read = in_plane(kind)
+    for options in ({}, {"fields": "keep"}):
+        uv, points = read(odt_plugins.optimize(mesh, **options))
+        where = read(mesh)[1] if options or kind == "open3d" else points
+        np.testing.assert_allclose(uv, where[:, :2], atol=1e-9)

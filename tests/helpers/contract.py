@@ -234,7 +234,8 @@ def check(host: Host, before: View, after: View) -> None:
 def check_data(before, after, old, new, interpolated=(), *, fields=False):
     """Point and field data are the same, cell data those of the sources; all of the same dtype.
 
-    With fields, floating-point numbers are interpolated linearly at vertices that moved.
+    With fields, floating-point numbers, and texture coordinates ("uv"), are interpolated linearly
+    at vertices that moved.
     """
     moved = (before.points != after.points).any(axis=1) & fields
     place = after.points[moved].astype(np.float64)
@@ -244,7 +245,8 @@ def check_data(before, after, old, new, interpolated=(), *, fields=False):
         assert sorted(a) == sorted(b)
         for name in a:
             assert np.asarray(b[name]).dtype == np.asarray(a[name]).dtype, name
-            if kind == "point_data" and a[name].dtype.kind == "f" and fields:
+            of_points = kind == "point_data" or name == "uv"
+            if of_points and a[name].dtype.kind == "f" and fields:
                 assert a[name][~moved].tobytes() == b[name][~moved].tobytes(), name
                 there = np.einsum("kc,kc...->k...", weights, a[name][corners].astype(np.float64))
                 tolerance = 1e-11 if a[name].dtype.itemsize == 8 else 1e-5
