@@ -123,11 +123,12 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
              for one, several in found.items()}
     cells = every.pop(number)
     for one, whole in every.items():
-        groups = each_once(kinds[one].name, whole.nodes[:, : kinds[one].corners], whole.part)
+        own_ids = np.concatenate(ids[one])
+        groups = each_once(KeptCells(
+            kinds[one].name, whole.nodes[:, : kinds[one].corners], whole.part, ids=own_ids))
         every[one] = whole._replace(kept=tuple(
             (len(kept) + i, chosen) for i, (_, chosen) in enumerate(groups)))
-        own_ids = np.concatenate(ids[one])
-        kept += [part._replace(ids=own_ids[chosen]) for part, chosen in groups]
+        kept += [part for part, _ in groups]
     bare = _bare(parts, entity, [*every.values(), cells])
     kept += [KeptCells("edge of a curve", bare)] if len(bare) else []
     nodes, where = cells.nodes, cells.part

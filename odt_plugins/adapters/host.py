@@ -66,18 +66,19 @@ def middles(corners: NDArray[np.float64]) -> NDArray[np.float64]:
                            *(0.5 * (corners[:, a] + corners[:, b]) for a, b in pairs)])
 
 
-def each_once(
-    kind: str, rows: NDArray[Any], classes: NDArray[Any]
-) -> list[tuple[KeptCells, NDArray[np.int64]]]:
-    """Part rows into kept cells without repeated rows; with each the indices of its rows."""
-    order = np.argsort(classes, kind="stable")
+def each_once(kept: KeptCells) -> list[tuple[KeptCells, NDArray[np.int64]]]:
+    """Part kept cells into such without repeated rows; with each the indices of its rows."""
+    rows, known = kept.rows, kept.labels if kept.classes is None else kept.classes
+    order = np.arange(len(rows)) if known is None else np.argsort(known, kind="stable")
     key = row_keys(np.sort(rows, axis=1), int(rows.max(initial=0)) + 1)[order]
     again = np.argsort(key, kind="stable")
     first = np.searchsorted(key[again], key[again])
     turn = np.empty(len(rows), dtype=np.int64)
     turn[order[again]] = np.arange(len(rows)) - first
     own = [np.flatnonzero(turn == i) for i in range(int(turn.max(initial=-1)) + 1)]
-    return [(KeptCells(kind, rows[chosen], classes[chosen]), chosen) for chosen in own]
+    there = [name for name, values in kept._asdict().items() if isinstance(values, np.ndarray)]
+    return [(kept._replace(**{name: getattr(kept, name)[chosen] for name in there}), chosen)
+            for chosen in own]
 
 
 def classes_of(
@@ -381,13 +382,19 @@ def faces_now(
     result: Result, host: HostMesh, ids: NDArray[np.int64], rows: NDArray[Any]
 ) -> NewFaces:
     """What some cells (q, r) at ascending places (q,) among all have become, in any kept cells."""
-    parts = [(k, kept.ids - ids[0]) for k, kept in enumerate(host.kept)
+    parts = [(k, np.searchsorted(ids, kept.ids)) for k, kept in enumerate(host.kept)
              if kept.ids is not None and np.isin(kept.ids[:1], ids).any()]
     now = [(result.faces_of(k, rows[own]), own) for k, own in parts] or [
         (result._replace(faces=()).faces_of(0, rows), np.arange(len(rows)))]
     source = np.concatenate([own[faces.source] for faces, own in now])
     order = np.argsort(source, kind="stable")
     return NewFaces(np.concatenate([faces.rows for faces, _ in now])[order], source[order])
+
+
+def any_became_others(result: Result, host: HostMesh, ids: NDArray[np.int64]) -> bool:
+    """Whether some of the kept cells at these places (q,) among all are others now."""
+    return any(now is not None and kept.ids is not None and np.isin(kept.ids, ids).any()
+               for kept, now in zip(host.kept, result.faces, strict=False))
 
 
 class Adapter(Protocol):

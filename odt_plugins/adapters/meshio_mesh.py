@@ -473,9 +473,7 @@ def _kept(mesh: Any, i: int, order: int) -> list[KeptCells]:
         classes = None
     ids = sum(len(block.data) for block in mesh.cells[:i]) + np.arange(len(data))
     rows = data[:, : FACES[kind]]
-    if classes is None:
-        return [KeptCells(kind, rows, classes, labels, ids)]
-    return [part._replace(ids=ids[own]) for part, own in each_once(kind, rows, classes)]
+    return [part for part, _ in each_once(KeptCells(kind, rows, classes, labels, ids))]
 
 
 def _members(members: NDArray[Any], local: NDArray[np.int32], size: int) -> NDArray[Any]:

@@ -95,7 +95,7 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
     faces, edges = _faces_of(inner), _edges_of(inner)
     places: list[tuple[tuple[int, IntArray], ...]] = []
     for kind, (rows, classes) in (("surface element", faces), ("edge element", edges)):
-        groups = each_once(kind, rows, classes) if dim == 3 or rows.shape[1] == 2 else []
+        groups = each_once(KeptCells(kind, rows, classes)) if dim == 3 or rows.shape[1] == 2 else []
         if _on_splines(inner):
             groups = [(cells._replace(classes=None), own) for cells, own in groups]
         places.append(tuple((len(kept) + i, own) for i, (_, own) in enumerate(groups)))

@@ -31,7 +31,10 @@ from odt_plugins.adapters.host import (
     HostMesh,
     KeptCells,
     Result,
+    any_became_others,
     classes_of,
+    each_once,
+    faces_now,
     is_instance,
 )
 from odt_plugins.adapters.normals import renewed
@@ -155,7 +158,7 @@ def write(result: Result, host: HostMesh) -> Any:
         if result.split is not None:
             rows = _write_refined(out, result, host.source, ids)
         else:
-            rows = _write_grid(out, result, host.source, ids, number)
+            rows = _write_grid(out, result, host, number)
         if number is not None:
             out.point_data.clear()
         out.points = result.points
@@ -245,7 +248,8 @@ def _read_grid(mesh: Any) -> tuple[IndexArray, IndexArray, tuple[KeptCells, ...]
             known = _known(mesh, which, size - 1 if other == POLY_LINE else None)
             if other not in ((LINE, TRIANGLE) if kind in LINEAR else (21, 22, 68, 69)):
                 known = (None, *known[1:])
-        kept.append(KeptCells(names[other], rows, *known))
+        own = KeptCells(names[other], rows, *known)
+        kept += [part for part, _ in each_once(own)] if known else [own]
     return cells, ids, tuple(kept)
 
 
@@ -311,7 +315,7 @@ def _write_higher_order(out: Any, result: Result, host: HostMesh) -> IndexArray:
     others[(offset[ids][:, None] + np.arange(nodes.shape[1])).ravel()] = False
     q = with_mid_nodes(result, host.points, nodes, np.unique(flat[others]), shape)
     whole = Result(q.points, q.cells, result.source)
-    rows = _write_grid(out, whole, source, ids, q.number)
+    rows = _write_grid(out, whole, host, q.number)
     out.point_data.clear()
     out.points = q.points
     placed = placed_nodes(q, result, host.points, nodes)
@@ -332,20 +336,21 @@ def _carry_point_data(
 
 
 def _write_grid(
-    out: Any, result: Result, source: Any, ids: IndexArray, number: IndexArray | None = None
+    out: Any, result: Result, host: HostMesh, number: IndexArray | None = None
 ) -> IndexArray:
     """Set the cells of a grid, each near the cell it came from; return where their data lie.
 
     The other cells take new indices of points, if `number` has them, or become other faces.
     """
-    types = np.asarray(source.celltypes)
-    offset, flat = _connectivity(source)
-    dtype = flat.dtype
-    flat = flat if number is None else number[flat]
+    ids, types = optimised_cells(host), np.asarray(host.source.celltypes)
+    offset, old = _connectivity(host.source)
+    flat = old if number is None else number[old]
     others = np.setdiff1d(np.arange(len(types)), ids)
     parts = [(result.cells, ids[result.source])]
-    for (_, which), faces in zip(_beside(types, int(types[ids[0]])), result.faces, strict=False):
-        if faces is not None:
+    for _, which in _beside(types, int(types[ids[0]])):
+        if any_became_others(result, host, which):
+            width = np.arange(offset[which[0] + 1] - offset[which[0]])
+            faces = faces_now(result, host, which, old[offset[which][:, None] + width])
             parts.append((faces.rows, which[faces.source]))
             others = np.setdiff1d(others, which)
     rows = np.concatenate([*(origin for _, origin in parts), others])
@@ -357,7 +362,7 @@ def _write_grid(
     new = np.cumsum(size)[: len(size) - len(others)]
     start = np.concatenate([np.append(0, new)[:-1], new[-1] + offset[others]])
     rows, start, size = rows[order], start[order], size[order]
-    connectivity = pool[_positions(start, size)].astype(dtype)
+    connectivity = pool[_positions(start, size)].astype(old.dtype)
     _set_cells(out, types[rows], size, connectivity)
     return np.asarray(rows)
 
@@ -424,8 +429,8 @@ def _read_polydata(mesh: Any) -> tuple[IndexArray, IndexArray, tuple[KeptCells, 
     if mesh.n_lines:
         rows, parts = _segments(np.asarray(mesh.lines))
         lines = mesh.n_verts + np.arange(mesh.n_lines)
-        kept = (KeptCells("line", rows, *_known(
-            mesh, lines, None if len(rows) == len(lines) else parts)),)
+        known = _known(mesh, lines, None if len(rows) == len(lines) else parts)
+        kept = tuple(part for part, _ in each_once(KeptCells("line", rows, *known)))
     if len(which) < len(size):
         rest = size != 3
         kept += (KeptCells("polygon", faces[_positions(start[rest], size[rest])][:, None]),)
@@ -463,10 +468,11 @@ def _write_polydata(out: Any, result: Result, host: HostMesh) -> IndexArray:
         faces = _with_numbers(faces, number)
         if source.n_verts:
             out.verts = _with_numbers(np.asarray(source.verts), number)
-        if result.faces and result.faces[0] is not None:
-            lines = result.faces[0]
+        which = np.arange(source.n_verts, first)
+        if any_became_others(result, host, which):
+            lines = faces_now(result, host, which, np.asarray(source.lines).reshape(-1, 3)[:, 1:])
             out.lines = np.insert(lines.rows, 0, 2, axis=1).ravel()
-            beside = np.append(np.arange(source.n_verts), source.n_verts + lines.source)
+            beside = np.append(np.arange(source.n_verts), which[lines.source])
         elif source.n_lines:
             out.lines = _with_numbers(np.asarray(source.lines), number)
     size, start = _sizes(faces)

@@ -8,6 +8,7 @@ import warnings
 import meshio
 import numpy as np
 import pytest
+import pyvista
 from boxes import FACES, box
 
 from odt_plugins import remesh
@@ -49,6 +50,56 @@ def test_triangles_with_two_labels_keep_both(scale):
         own = out.cells[1].data[out.cell_data["load"][1] == load]
         size = np.linalg.norm(normals(out.points, own), axis=1).sum()
         assert size == pytest.approx(np.linalg.norm(normals(points, rows), axis=1).sum())
+
+
+@pytest.mark.parametrize("scale", [0.6, 1.6])
+def test_triangles_of_vtk_with_two_labels_keep_both(scale):
+    """Cells of all types stand in any order there."""
+    points, cells, count, sides = halves()
+    rows = np.array([cells[c][FACES[f]] for c, f in sides if c < count])
+    flat = [np.insert(part, 0, part.shape[1], axis=1).ravel() for part in (
+        rows[:5], cells, rows[5:], rows)]
+    types = np.repeat([5, 10, 5], [5, len(cells), 2 * len(rows) - 5])
+    mesh = pyvista.UnstructuredGrid(np.concatenate(flat), types, points)
+    mesh.cell_data["load"] = np.repeat([1, 0, 1, 2], [5, len(cells), len(rows) - 5, len(rows)])
+    out = remesh(mesh, scale=scale, free=("periodic",), regions=np.arange(len(cells)) < count)
+    assert (out.celltypes == 5).sum() != 2 * len(rows)
+    areas = [np.linalg.norm(normals(one.points, one.cells_dict[5][
+        one["load"][one.celltypes == 5] == load]), axis=1).sum()
+        for one in (mesh, out) for load in (1, 2)]
+    assert areas == pytest.approx(4 * areas[:1])
+
+
+@pytest.mark.parametrize("scale", [0.6, 1.6])
+def test_lines_of_polydata_with_two_labels_keep_both(scale):
+    points, cells = box(2, 8, plane=0.5)
+    middle = np.flatnonzero(np.abs(points[:, 0] - 0.5) < 1e-12)
+    chain = middle[np.argsort(points[middle, 1])]
+    rows = np.column_stack([chain[:-1], chain[1:]])
+    lines = np.insert(np.concatenate([rows, rows[:3]]), 0, 2, axis=1)
+    mesh = pyvista.PolyData(np.column_stack([points, 0 * points[:, 0]]),
+                            np.insert(cells, 0, 3, axis=1).ravel(), lines=lines.ravel())
+    side = (points[cells][:, :, 0].mean(axis=1) < 0.5) + 3
+    mesh.cell_data["material"] = np.concatenate([np.repeat([1, 2], [len(rows), 3]), side])
+    out = remesh(mesh, scale=scale)
+    assert out.n_lines != mesh.n_lines
+    for label, length in ((1, 1.0), (2, 3 / 8)):
+        ends = out.points[out.lines.reshape(-1, 3)[:, 1:]][out["material"][: out.n_lines] == label]
+        assert np.abs(ends[:, 1, 1] - ends[:, 0, 1]).sum() == pytest.approx(length)
+
+
+@pytest.mark.parametrize("kind", ["meshio", "pyvista"])
+def test_the_ends_of_numbered_lines_that_are_there_twice_stay(kind):
+    """Lines with a number each become no others, and nor do their ends."""
+    points, cells = box(3, 4, plane=0.5)
+    at = {tuple(place): i for i, place in enumerate(points.tolist())}
+    line = [at[0.0, 0.0, 0.0], at[0.25, 0.0, 0.0]]
+    mesh = meshio.Mesh(points, [("tetra", cells), ("line", np.array([line, line]))],
+                       cell_data={"number": [np.arange(len(cells)), np.array([1, 2])],
+                                  "group": [np.zeros(len(cells), int), np.array([7, 7])]})
+    out = remesh(mesh if kind == "meshio" else pyvista.from_meshio(mesh), scale=1.5)
+    rows = out.cells[1].data if kind == "meshio" else out.cells_dict[3]
+    assert np.array_equal(out.points[rows], points[[line, line]])
 
 
 @pytest.mark.parametrize("scale", [0.6, 1.6])

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import odt_plugins
-from odt_plugins.adapters.host import each_once
+from odt_plugins.adapters.host import KeptCells, each_once
 from odt_plugins.errors import InvalidOptionError
 
 FACETS = {2: ("triangle", "line"), 3: ("tetra", "triangle")}
@@ -140,12 +140,12 @@ def test_remeshing_keeps_the_triangles_of_a_sheet_inside():
 def test_rows_that_are_there_twice_are_parted_into_groups_that_follow_their_classes():
     rows = np.array([[0, 1], [1, 2], [1, 0], [3, 4], [2, 1], [0, 1]])
     classes = np.array([5, 9, 7, 5, 4, 6])
-    groups = each_once("line", rows, classes)
+    groups = each_once(KeptCells("line", rows, classes))
     assert [own.tolist() for _, own in groups] == [[0, 3, 4], [1, 5], [2]]
     for cells, own in groups:
         assert np.array_equal(cells.rows, rows[own])
         assert np.array_equal(cells.classes, classes[own])
-    assert each_once("line", rows[:0], classes[:0]) == []
+    assert each_once(KeptCells("line", rows[:0], classes[:0])) == []
 
 
 def test_a_triangle_inside_leaves_the_interface_between_labels_to_be_resized():

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.adapters.formats.change import NotRewritable
-from odt_plugins.adapters.host import each_once
+from odt_plugins.adapters.host import KeptCells, each_once
 
 SURFACE, VOLUME = rb"surfaceelements(?:gi|uv)?", rb"volumeelements"
 
@@ -174,7 +174,7 @@ def segments(data: bytes) -> tuple[Rows, NDArray[np.int64]]:
 def lines_of(rows: Sequence[Row], label: NDArray[np.int64]) -> list[NDArray[np.int64]]:
     """Which rows of segments are blocks of lines, of which none has a line twice."""
     nodes = np.array([row.points() for row in rows], dtype=np.int64).reshape(-1, 2)
-    return [own for _, own in each_once("line", nodes, label)]
+    return [own for _, own in each_once(KeptCells("line", nodes, label))]
 
 
 def _words(data: bytes, at: int, count: int, width: int) -> list[tuple[int, int, list[bytes]]]:
