@@ -19,6 +19,7 @@ from odt_plugins.errors import (
     InvalidOptionError,
     MissingDependencyError,
     NotFilledWarning,
+    UnsupportedMeshError,
 )
 from odt_plugins.options import OPTIONS
 
@@ -112,6 +113,18 @@ def test_what_pytetwild_refuses_comes_through():
         odt_plugins.tetrahedralize(CUBE.tolist(), FACES)
     with pytest.raises(InvalidMeshError, match="no tetrahedra inside the surface: it gave an empt"):
         odt_plugins.tetrahedralize(CUBE[:4], FACES[:1])
+
+
+@pytest.mark.parametrize(("package", "name", "hint"), [
+    ("pyvista", "Cube", r"mesh\.odt\.tetrahedralize\(\)"),
+    ("trimesh.creation", "box", r"mesh\.vertices, mesh\.faces"),
+    ("numpy", "array", "those of the mesh"),
+])
+def test_a_mesh_of_a_toolkit_in_place_of_arrays_is_refused(package, name, hint):
+    mesh = getattr(pytest.importorskip(package), name)(*[CUBE] * (package == "numpy"))
+    for call in (odt_plugins.tetrahedralize, odt_plugins.tetrahedralize_with_report):
+        with pytest.raises(UnsupportedMeshError, match=f"without faces; expected arrays.*{hint}$"):
+            call(mesh)
 
 
 @pytest.mark.parametrize(("spoil", "message"), [

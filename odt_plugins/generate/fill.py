@@ -22,6 +22,7 @@ from odt_plugins.errors import (
     InvalidOptionError,
     NotFilledWarning,
     ODTWarning,
+    UnsupportedMeshError,
     counted,
     warn,
 )
@@ -49,6 +50,14 @@ NO_SIZES: Mapping[str, Any] = MappingProxyType({})
 
 BODY = "body"
 """Cell array with the numbers of closed components."""
+
+OF_TOOLKITS = {
+    "pyvista": "mesh.odt.tetrahedralize()",
+    "pymeshlab": "meshes.generate_odt_tetrahedralization()",
+    "trimesh": "mesh.vertices, mesh.faces",
+    "open3d": "numpy.asarray(mesh.vertices), numpy.asarray(mesh.triangles)",
+}
+"""What to try instead of a mesh of a toolkit, by its package."""
 
 GROUPS = ("gmsh:physical", "gmsh:geometrical")
 """Labels of Gmsh, in which 0 is none; the tetrahedra are the volume 1."""
@@ -104,6 +113,7 @@ def tetrahedralize(vertices: Any, faces: Any = None, *more: Any, **how: Any) -> 
     ------
     MissingDependencyError       pytetwild is not installed
     InvalidMeshError             the surface is broken, or TetWild found no tetrahedra
+    UnsupportedMeshError         there are no faces, as where a toolkit's mesh is given for both
     CrashError                   the same, since the process of TetWild crashed
     InvalidOptionError           an option is unknown or out of range, or TetWild is to run alone
     MeshFileError                a file cannot be read or written; `target` is then as it was before
@@ -123,6 +133,7 @@ def tetrahedralize(vertices: Any, faces: Any = None, *more: Any, **how: Any) -> 
     """
     if isinstance(vertices, str | os.PathLike):
         return _from_file(vertices, faces, *more, **how)[0]
+    _expect_faces(vertices, faces)
     return tetwild.tetrahedralize(vertices, faces, *more, **how)
 
 
@@ -152,7 +163,18 @@ def tetrahedralize_with_report(
     """
     if isinstance(vertices, str | os.PathLike):
         return _from_file(vertices, faces, *more, **how)
+    _expect_faces(vertices, faces)
     return tetwild.tetrahedralize_with_report(vertices, faces, *more, **how)
+
+
+def _expect_faces(vertices: Any, faces: Any) -> None:
+    """Refuse a single object that is no path."""
+    if faces is None:
+        kind = type(vertices)
+        hint = OF_TOOLKITS.get(kind.__module__.partition(".")[0], "those of the mesh")
+        msg = (f"got a {kind.__name__} without faces; expected arrays of vertices and of faces, or "
+               f"the path of a file, try {hint}")
+        raise UnsupportedMeshError(msg)
 
 
 def _from_file(
