@@ -27,7 +27,7 @@ WORDS = (
     (r"\bcells\b", "faces"),
     (r"\bcell\b", "face"),
     (r"\bpoints\b", "vertices"),
-    (r"\bpoint\b", "vertex"),
+    (r"(?<!floating-)\bpoint\b", "vertex"),
 )
 """What MeshLab calls the things that error messages speak of."""
 

@@ -100,7 +100,8 @@ def test_hosts_adapt_in_their_own_words():
         assert abs(found["faces"] - 300) < 60
         assert stretched(meshes.current_mesh())
     for given, words in (({"adaptto": "heat"}, "expected targetfacenum above 0"),
-                         ({"adaptto": "cold", "targetfacenum": 9}, "it has .*heat")):
+                         ({"adaptto": "cold", "targetfacenum": 9},
+                          "a vertex array of floating-point numbers of this mesh, it has .*heat")):
         with pytest.raises(InvalidOptionError, match=words):
             meshes.meshing_odt_remeshing(**given)
 
