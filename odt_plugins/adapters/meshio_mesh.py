@@ -46,6 +46,7 @@ from odt_plugins.adapters.host import (
     faces_now,
     is_instance,
 )
+from odt_plugins.adapters.lengths import NOT_CELL_INDICES, check_lengths
 from odt_plugins.adapters.normals import renewed
 from odt_plugins.adapters.point_sets import (
     of_corners,
@@ -78,9 +79,6 @@ NORMALS = "Normals"
 
 ORIGIN = "read_from"
 """Attribute of a meshio.Mesh that tells the file it was read from, and what stood where there."""
-
-NOT_CELL_INDICES = ("gmsh:bounding_entities",)
-"""Cell sets that hold something else than indices of cells."""
 
 
 def matches(mesh: object) -> bool:
@@ -129,7 +127,9 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
     chosen = [i for i, block in enumerate(mesh.cells) if block.type == kind]
     sizes = [len(block.data) for block in mesh.cells]
     size = [sizes[i] for i in chosen]
-    arrays = {name: _joined(name, values, mesh, chosen) for name, values in mesh.cell_data.items()}
+    check_lengths(mesh, chosen)
+    arrays = {name: np.concatenate([np.asarray(values[i]) for i in chosen])
+              for name, values in mesh.cell_data.items()}
     sets = _memberships(mesh, chosen, size)
     order = 1 if shape is None else int(shape[0, 0])
     kept = tuple(part for i in _others(mesh, chosen) for part in _kept(mesh, i, order))
@@ -432,22 +432,11 @@ def _memberships(mesh: Any, chosen: list[int], size: list[int]) -> dict[str, NDA
         inside = []
         for i, count in zip(chosen, size, strict=True):
             here = np.asarray([] if members[i] is None else members[i])
-            _check_members(name, here, i, count)
             inside.append(_inside(here, count))
         whole = np.concatenate(inside)
         if whole.any():
             out[name] = whole
     return out
-
-
-def _joined(name: str, values: list[Any], mesh: Any, chosen: list[int]) -> NDArray[Any]:
-    """Cell data of all optimised blocks one after another."""
-    for i in chosen:
-        if len(values[i]) != len(mesh.cells[i].data):
-            msg = (f"cell data {name!r} of block {i} has {len(values[i])} entries; expected "
-                   f"{len(mesh.cells[i].data)}, one per cell")
-            raise InvalidMeshError(msg)
-    return np.concatenate([np.asarray(values[i]) for i in chosen])
 
 
 def _others(mesh: Any, chosen: Container[int]) -> list[int]:
@@ -466,7 +455,6 @@ def _kept(mesh: Any, i: int, order: int) -> list[KeptCells]:
     columns = [np.asarray(values[i]) for values in mesh.cell_data.values()]
     for name, members in mesh.cell_sets.items():
         if name not in NOT_CELL_INDICES and members[i] is not None:
-            _check_members(name, np.asarray(members[i]), i, len(data))
             columns.append(_inside(np.asarray(members[i]), len(data)))
     classes, labels = classes_of(columns, len(data))
     if HIGHER.get(kind, (0, 1))[1] != order or kind in LAGRANGE:
@@ -487,18 +475,6 @@ def _inside(members: NDArray[Any], size: int) -> NDArray[np.bool_]:
     inside = np.zeros(size, dtype=np.bool_)
     inside[members if members.dtype == np.bool_ else members.astype(np.int64)] = True
     return inside
-
-
-def _check_members(name: str, members: NDArray[Any], i: int, size: int) -> None:
-    if members.dtype == np.bool_ and members.shape == (size,):
-        return
-    bad = members[(members < 0) | (members >= size)]
-    if members.dtype == np.bool_ or bad.size:
-        what = f"a mask of shape {members.shape}" if members.dtype == np.bool_ else (
-            f"index {bad[0]} ({bad.size} out of range)")
-        msg = (f"cell set {name!r} has {what} in block {i}; expected indices from 0 to {size - 1} "
-               f"or a mask of shape ({size},)")
-        raise InvalidMeshError(msg)
 
 
 def tetrahedra(points: NDArray[np.float64], cells: NDArray[np.int32]) -> Any:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from odt_plugins.adapters.fields import dense, sampled
 from odt_plugins.adapters.host import HostMesh, KeptCells, Result, is_instance
+from odt_plugins.adapters.lengths import expect_one_each
 from odt_plugins.adapters.regions import region_labels
 from odt_plugins.adapters.wedges import carried, charts, slid
 from odt_plugins.errors import InvalidMeshError, ODTWarning, UnsupportedMeshError, warn
@@ -121,7 +122,7 @@ def _read_legacy(mesh: Any, regions: str | Sequence[str] | None) -> HostMesh:
     arrays = {}
     if mesh.has_triangle_material_ids():
         name = "triangle_material_ids"
-        arrays[name] = _per_triangle(np.array(mesh.triangle_material_ids), m, name)
+        arrays[name] = expect_one_each(name, np.array(mesh.triangle_material_ids), m, "triangle")
     colors = {"vertex_colors": np.array(mesh.vertex_colors)} if mesh.has_vertex_colors() else {}
     host = _host(mesh, np.array(mesh.vertices), cells, uv, arrays, regions)
     return replace(host, fields=sampled(colors))
@@ -140,7 +141,7 @@ def _read_tensor(mesh: Any, regions: str | Sequence[str] | None) -> HostMesh:
     m = len(cells)
     _require(m, len(points), "t.geometry.TriangleMesh", "triangles")
     arrays = {
-        name: _per_triangle(np.array(values.cpu().numpy()), m, f"triangle.{name}")
+        name: expect_one_each(f"triangle.{name}", np.array(values.cpu().numpy()), m, "triangle")
         for name, values in mesh.triangle.items()
         if name != "indices"
     }
@@ -225,8 +226,9 @@ def _write_tensor(result: Result, host: HostMesh, same: bool) -> Any:
 
 def _point_data(mesh: Any) -> dict[str, NDArray[Any]]:
     """Attributes of the vertices of a tensor mesh but their places."""
-    return {name: np.array(values.cpu().numpy()) for name, values in mesh.vertex.items()
-            if name != "positions"}
+    return {name: expect_one_each(f"vertex.{name}", np.array(values.cpu().numpy()),
+                                  len(mesh.vertex["positions"]), "vertex", "vertices")
+            for name, values in mesh.vertex.items() if name != "positions"}
 
 
 def _triangle_data(result: Result, host: HostMesh) -> dict[str, NDArray[Any]]:
@@ -275,10 +277,3 @@ def _wedges(values: Any, m: int, name: str) -> NDArray[Any]:
         msg = f"{name} has {len(uv)} entries for {m} triangles; expected three a triangle"
         raise InvalidMeshError(msg)
     return uv.reshape(m, 3, 2)
-
-
-def _per_triangle(values: NDArray[Any], m: int, name: str) -> NDArray[Any]:
-    if len(values) != m:
-        msg = f"{name} has {len(values)} entries for {m} triangles; expected one a triangle"
-        raise InvalidMeshError(msg)
-    return values

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from odt_plugins import tetwild
 from odt_plugins.adapters import files, meshio_mesh
+from odt_plugins.adapters.lengths import NOT_CELL_INDICES
 from odt_plugins.adapters.registry import find_adapter
 from odt_plugins.engine.cells.geometry import boundary_facets
 from odt_plugins.engine.ground.reference import make_reference
@@ -318,7 +319,7 @@ def _of_triangles(mesh: Any) -> Any:
         for name, values in mesh.cell_data.items()}
     sets: dict[str, Any] = {
         name: [np.flatnonzero(_members(parts, mesh, flat)[of])]
-        for name, parts in mesh.cell_sets.items() if name not in meshio_mesh.NOT_CELL_INDICES}
+        for name, parts in mesh.cell_sets.items() if name not in NOT_CELL_INDICES}
     return Mesh(mesh.points, [("triangle", np.concatenate(rows))], mesh.point_data, data,
                 mesh.field_data, cell_sets=sets)
 
@@ -354,7 +355,7 @@ def _labelled(points: FloatArray, cells: IntArray, host: HostMesh, reach: float)
     arrays = {name: np.concatenate([np.asarray(values[i]) for i in blocks])
               for name, values in surface.cell_data.items() if "normal" not in name.lower()}
     sets = {name: _members(parts, surface, blocks) for name, parts in surface.cell_sets.items()
-            if name not in meshio_mesh.NOT_CELL_INDICES}
+            if name not in NOT_CELL_INDICES}
     if not arrays and not sets:
         return meshio_mesh.tetrahedra(points, cells)
     facets = boundary_facets(cells)

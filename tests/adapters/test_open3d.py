@@ -315,6 +315,11 @@ def test_meshes_without_cells_and_data_of_wrong_length_are_named(kind, what):
         return
     with pytest.raises(InvalidMeshError, match=f"{name} has 3 entries for 32 triangles"):
         odt_plugins.optimize(mesh)
+    if kind == "tensor":
+        del mesh.triangle["short"]
+        mesh.vertex["short"] = np.arange(3.0)
+        with pytest.raises(InvalidMeshError, match=r"vertex\.short has 3 entries for 25 vertices"):
+            odt_plugins.optimize(mesh)
 
 
 def test_other_geometries_of_open3d_get_a_hint():

@@ -1,0 +1,86 @@
+"""Whether arrays and sets have as many entries as there are vertices or cells."""
+
+from __future__ import annotations
+
+from collections.abc import Container
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odt_plugins.errors import InvalidMeshError, counted
+
+NOT_CELL_INDICES = ("gmsh:bounding_entities",)
+"""Cell sets that hold something else than indices of cells."""
+
+
+def expect_one_each(
+    name: str, values: Any, count: int, word: str, plural: str | None = None
+) -> NDArray[Any]:
+    """The values as an array of one entry for each of so many things, which `word` calls.
+
+    Raises
+    ------
+    InvalidMeshError    there are more or fewer
+    """
+    found = np.asarray(values)
+    if found.shape[:1] != (count,):
+        have = counted(len(found) if found.ndim else 0, "entry", "entries")
+        msg = f"{name} has {have} for {counted(count, word, plural)}; expected one a {word}"
+        raise InvalidMeshError(msg)
+    return found
+
+
+def expect_members(what: str, members: NDArray[Any], size: int) -> None:
+    """See whether members are indices of so many things, or a mask of them.
+
+    Raises
+    ------
+    InvalidMeshError    they are neither
+    """
+    if members.dtype == np.bool_ and members.shape == (size,):
+        return
+    bad = members[(members < 0) | (members >= size)]
+    if members.dtype == np.bool_ or bad.size:
+        has = f"a mask of shape {members.shape}" if members.dtype == np.bool_ else (
+            f"index {bad[0]} ({bad.size} out of range)")
+        msg = (f"{what.format(has)}; expected indices from 0 to {size - 1} or a mask of shape "
+               f"({size},)")
+        raise InvalidMeshError(msg)
+
+
+def check_lengths(mesh: Any, chosen: Container[int]) -> None:
+    """See whether all arrays and sets of a meshio.Mesh are of its points and cells.
+
+    Parameters
+    ----------
+    mesh : meshio.Mesh
+    chosen : container of int    blocks whose cells need data; others may have None
+
+    Raises
+    ------
+    InvalidMeshError             they are not
+    """
+    n, sizes = len(mesh.points), [len(block.data) for block in mesh.cells]
+    for name, values in mesh.point_data.items():
+        expect_one_each(f"point data {name!r}", values, n, "point")
+    for name, members in mesh.point_sets.items():
+        given = np.asarray([] if members is None else members)
+        # Indices from the end are what NumPy takes.
+        given = given if given.dtype == np.bool_ else np.where(given < 0, given + n, given)
+        expect_members(f"point set {name!r} has {{}}", given, n)
+    for kind, data in (("data", mesh.cell_data), ("set", mesh.cell_sets)):
+        for name, parts in data.items():
+            if name in NOT_CELL_INDICES:
+                continue
+            have = len(parts) if hasattr(parts, "__len__") else 0
+            if have != len(sizes):
+                msg = (f"cell {kind} {name!r} has {counted(have, 'block')} for a mesh of "
+                       f"{len(sizes)}; expected one each")
+                raise InvalidMeshError(msg)
+            for i, (own, size) in enumerate(zip(parts, sizes, strict=True)):
+                if kind == "set":
+                    expect_members(f"cell set {name!r} has {{}} in block {i}",
+                                   np.asarray([] if own is None else own), size)
+                elif own is not None or i in chosen:
+                    expect_one_each(f"cell data {name!r} of block {i}", own, size, "cell")
