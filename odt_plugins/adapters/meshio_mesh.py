@@ -47,7 +47,7 @@ from odt_plugins.adapters.host import (
     is_instance,
 )
 from odt_plugins.adapters.lengths import NOT_CELL_INDICES, check_lengths
-from odt_plugins.adapters.normals import renewed
+from odt_plugins.adapters.normals import NORMALS, are_normals, renewed
 from odt_plugins.adapters.point_sets import (
     of_corners,
     walls_of,
@@ -74,8 +74,6 @@ KINDS = (
 
 NODE_ENTITIES, CELL_ENTITIES = "gmsh:dim_tags", "gmsh:geometrical"
 """Data of Gmsh's files: dimension and tag of the entity of a node, tag of that of a cell."""
-
-NORMALS = "Normals"
 
 ORIGIN = "read_from"
 """Attribute of a meshio.Mesh that tells the file it was read from, and what stood where there."""
@@ -250,13 +248,14 @@ def write(result: Result, host: HostMesh) -> Any:
 
 def _renew_normals(out: Any, result: Result, host: HostMesh) -> None:
     """Compute the normals of a curved surface anew that VTK's files have under this name."""
-    if NORMALS in out.point_data:
+    if NORMALS in out.point_data and are_normals(np.asarray(out.point_data[NORMALS])):
         out.point_data[NORMALS] = renewed(
             np.asarray(out.point_data[NORMALS]), result.points, result.cells, of_vertices=True)
     for i in host.layout if NORMALS in out.cell_data else ():
-        out.cell_data[NORMALS][i] = renewed(
-            np.asarray(out.cell_data[NORMALS][i]), result.points, out.cells[i].data,
-            of_vertices=False)
+        values = np.asarray(out.cell_data[NORMALS][i])
+        if are_normals(values):
+            out.cell_data[NORMALS][i] = renewed(
+                values, result.points, out.cells[i].data, of_vertices=False)
 
 
 def _follow_links(out: Any, host: HostMesh, nodes: NDArray[np.integer] | None) -> None:

@@ -5,6 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+NORMALS = "Normals"
+"""Name that VTK gives to arrays of normals."""
+
+
+def are_normals(values: NDArray[np.generic]) -> bool:
+    """Whether values have the form of normals: three floating-point numbers each."""
+    return values.dtype.kind == "f" and values.shape[1:] == (3,)
+
 
 def renewed(
     old: NDArray[np.floating], points: NDArray[np.floating], cells: NDArray[np.integer], *,

@@ -1,10 +1,10 @@
 """pyvista.UnstructuredGrid of tetrahedra or triangles, pyvista.PolyData of triangles.
 
 Everything survives: class, dtype of the points, point, cell and field data, active arrays and
-user dictionary. On a curved surface the active normals are computed anew. The active texture
-coordinates of triangles are interpolated at the new places of the vertices. Other linear cells
-(lines, boundary triangles, quadrilaterals, hexahedra, ...) come back as they are. Quadratic and
-Lagrange triangles and tetrahedra are optimised by their corners, see
+user dictionary. Normals of a curved surface, active or called so, are computed anew, the active
+texture coordinates of triangles interpolated where vertices moved. Other linear cells (lines,
+boundary triangles, quadrilaterals, hexahedra, ...) come back as they are. Quadratic and Lagrange
+triangles and tetrahedra are optimised by their corners, see
 :mod:`odt_plugins.adapters.higher_order`; other cells of higher order, such cells beside linear
 ones, polyhedra and triangle strips are refused by name.
 """
@@ -37,7 +37,7 @@ from odt_plugins.adapters.host import (
     faces_now,
     is_instance,
 )
-from odt_plugins.adapters.normals import renewed
+from odt_plugins.adapters.normals import NORMALS, are_normals, renewed
 from odt_plugins.adapters.regions import region_labels
 from odt_plugins.adapters.wedges import slid
 from odt_plugins.errors import UnsupportedMeshError, counted
@@ -149,21 +149,18 @@ def write(result: Result, host: HostMesh) -> Any:
     out.cell_data.clear()
     vertices = result.vertices
     number = vertices.number if vertices is not None and vertices.renumbered else None
-    if not host.source.IsA("vtkUnstructuredGrid"):
-        rows = _write_polydata(out, result, host)
-        if number is not None:
-            out.point_data.clear()
-        out.points = result.points
-    elif nodes is None:
-        if result.split is not None:
+    if nodes is not None:
+        rows = _write_higher_order(out, result, host)
+    else:
+        if not host.source.IsA("vtkUnstructuredGrid"):
+            rows = _write_polydata(out, result, host)
+        elif result.split is not None:
             rows = _write_refined(out, result, host.source, ids)
         else:
             rows = _write_grid(out, result, host, number)
         if number is not None:
             out.point_data.clear()
         out.points = result.points
-    else:
-        rows = _write_higher_order(out, result, host)
     if vertices is not None and nodes is None:
         _carry_point_data(out, host.source, lambda name, values: vertices.carried(
             values, name, field=name in host.fields), list(host.fields) if number is None else None)
@@ -174,7 +171,7 @@ def write(result: Result, host: HostMesh) -> Any:
 
 
 def _follow_surface(out: Any, result: Result, host: HostMesh, rows: IndexArray) -> None:
-    """Interpolate the active texture coordinates and compute the active normals anew.
+    """Interpolate the active texture coordinates and compute normals anew.
 
     `rows` tells for every new cell in which row of the caller's cell data it had its data.
     """
@@ -184,17 +181,15 @@ def _follow_surface(out: Any, result: Result, host: HostMesh, rows: IndexArray) 
             np.asarray(host.source.point_data[name]), host.cells, result.feet)
     if not result.curved:
         return
-    name = out.point_data.active_normals_name
-    if name is not None:
-        out.point_data[name] = renewed(
-            np.asarray(out.point_data[name]), result.points, result.cells, of_vertices=True
-        )
-    name = out.cell_data.active_normals_name
-    if name is not None:
-        values = np.array(out.cell_data[name])
-        own = np.isin(rows, optimised_cells(host))
-        values[own] = renewed(values[own], result.points, result.cells, of_vertices=False)
-        out.cell_data[name] = values
+    every = np.ones(len(result.points), dtype=np.bool_)
+    for data, own in ((out.point_data, every),
+                      (out.cell_data, np.isin(rows, optimised_cells(host)))):
+        for name in {data.active_normals_name, NORMALS}.intersection(data.keys()):
+            values = np.array(data[name])
+            if are_normals(values):
+                values[own] = renewed(values[own], result.points, result.cells,
+                                      of_vertices=own is every)
+                data[name] = values
 
 
 def optimised_cells(host: HostMesh) -> IndexArray:

@@ -119,6 +119,13 @@ def test_pyvista_interpolates_texture_coordinates_and_renews_normals():
     exact /= np.linalg.norm(exact, axis=1)[:, None]
     assert (out.point_data["Normals"] * exact).sum(axis=1).min() > 0.99
     assert out.point_data["Normals"].dtype == mesh.point_data["Normals"].dtype
+    named = mesh.copy()
+    for data in (named.point_data, named.cell_data):
+        data.active_normals_name = None
+    named = odt_plugins.optimize(named, envelope=ENVELOPE)
+    assert named.point_data.active_normals_name is None
+    for one, other in ((named.point_data, out.point_data), (named.cell_data, out.cell_data)):
+        assert np.array_equal(one["Normals"], other["Normals"])
     turned = mesh.copy()
     turned.point_data["Normals"] = -np.asarray(mesh.point_data["Normals"])
     turned.point_data.active_normals_name = "Normals"
