@@ -75,6 +75,24 @@ def of_cells(options: Options, cells: Indices | None, count: int) -> Options:
     return replace(options, density=values[cells]) if values.shape == (count,) else options
 
 
+def of_optimised(options: Options, host: HostMesh) -> Options:
+    """The options with arrays of all cells of an object, of any type, cut to its optimised ones.
+
+    A selection is a mask then; as many densities as there are vertices are of these.
+    """
+    if host.ids is None or host.total == len(host.cells):
+        return options
+    of_all: dict[str, Any] = {}
+    for name in ("selection", "regions", "density"):
+        values = getattr(options, name)
+        if isinstance(values, np.ndarray) and values.shape == (host.total,) and (
+            name == "regions" or (name == "selection" and values.dtype == np.bool_)
+            or (name == "density" and host.total != len(host.points))
+        ):
+            of_all[name] = values[host.ids]
+    return replace(options, **of_all)
+
+
 def with_others(
     rows: NDArray[Any], cells: NDArray[Any], source: NDArray[Any], own: Indices,
     number: NDArray[Any],

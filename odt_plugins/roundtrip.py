@@ -33,7 +33,7 @@ from odt_plugins.adapters.kept import (
 from odt_plugins.adapters.regions import AUTO, CHARTS, are_names
 from odt_plugins.adapters.registry import find_adapter
 from odt_plugins.adapters.wedges import glued, without_seams
-from odt_plugins.aside import note, of_cells, seen, with_others, without_others
+from odt_plugins.aside import note, of_cells, of_optimised, seen, with_others, without_others
 from odt_plugins.bending import leaving_bent, middles, note_on_flatter, with_bent
 from odt_plugins.carry import cell_origin, in_input_order, surrounding_cells
 from odt_plugins.curved import Kept, keep_curved, untangled_around
@@ -128,7 +128,7 @@ def run_engine(
             expect_overlaps(work, given, options)
             if wanted.sizes:
                 options = replace(options, density=named_array(given, wanted.sizes))
-            options = of_cells(options, work.own, len(given.cells))
+            options = of_cells(of_optimised(options, given), work.own, len(given.cells))
             chosen = _of_mesh(_in_frame(options, work.frame), work.tangle)
             metric, chosen = with_metric(work.mesh, chosen, work.host, work.frame, wanted.growth)
             work = work._replace(mesh=metric)
@@ -252,6 +252,7 @@ def _prepare(mesh: Any, options: Options, wanted: Wanted) -> tuple[Prepared, Hos
     host = adapter.read(mesh, AUTO if names == CHARTS else names)
     keep_seams = names == CHARTS and host.textured
     host = adapter.read(mesh, CHARTS) if names == CHARTS and not keep_seams else host
+    options = of_optimised(options, host)
     if not are_names(options.regions):
         host = replace(host, regions=np.asarray(options.regions))
     with words_of(host):
