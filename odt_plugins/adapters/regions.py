@@ -237,6 +237,8 @@ def _neighbours(cells: NDArray[Any]) -> tuple[NDArray[np.intp], NDArray[np.intp]
 def _expect(arrays: Mapping[str, NDArray[Any]], name: str) -> None:
     if name not in arrays:
         known = f"one of {sorted(arrays)} or " if arrays else ""
-        msg = (f"regions={name!r} names no cell array{'' if arrays else ', the mesh has none'}; "
+        none = " and finds no texture" if name == CHARTS else ""
+        none += "" if arrays else ", the mesh has none"
+        msg = (f"regions={name!r} names no cell array{none}; "
                f"expected {known}an array of integer labels, one per cell")
         raise InvalidOptionError(msg)

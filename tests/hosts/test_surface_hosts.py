@@ -201,7 +201,8 @@ def test_a_texture_whose_charts_leave_nothing_to_move_is_kept():
 
 
 def test_charts_need_a_texture():
-    with pytest.raises(InvalidOptionError, match="'charts' names no cell array"):
+    message = "'charts' names no cell array and finds no texture, the"
+    with pytest.raises(InvalidOptionError, match=message):
         odt_plugins.optimize(sm.sphere(2), regions="charts")
 
 
