@@ -244,7 +244,7 @@ def netgen_part(kind, size):
         body.faces[occ.Z > 0.49].name = "top"
         body.edges[occ.Z > 0.49].name = "upper"
         body.mat("steel")
-        return occ.OCCGeometry(body).GenerateMesh(maxh=size)
+        return occ.OCCGeometry(body).GenerateMesh(maxh=size, optsteps3d=0)
     if kind == "csg":
         from netgen import csg
 
@@ -252,7 +252,7 @@ def netgen_part(kind, size):
             csg.Pnt(-1, -1, 0), csg.Pnt(1, 1, 1)).bc("lids")
         geometry = csg.CSGeometry()
         geometry.Add(solid.mat("rod"))
-        return geometry.GenerateMesh(maxh=size)
+        return geometry.GenerateMesh(maxh=size, optsteps3d=0)
     outer = occ.Circle((0, 0), 1).Face()
     outer.edges.name = "rim"
     inner = occ.MoveTo(-0.4, -0.4).Rectangle(0.8, 0.8).Face()

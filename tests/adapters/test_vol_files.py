@@ -245,7 +245,8 @@ def a_body():
 
     box, inner = Box((0, 0, 0), (1, 1, 1)), Cylinder((0.5, 0.5, 0.2), (0, 0, 1), 0.2, 0.6)
     box.faces.name, box.edges.name, inner.faces.name, inner.edges.name = "out", "rim", "in", "ring"
-    return OCCGeometry(Glue([(box - inner).mat("a"), inner.mat("b")])).GenerateMesh(maxh=0.2)
+    return OCCGeometry(Glue([(box - inner).mat("a"), inner.mat("b")])).GenerateMesh(
+        maxh=0.2, optsteps3d=0)
 
 
 def a_plate():

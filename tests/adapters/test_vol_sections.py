@@ -28,7 +28,7 @@ def a_ball():
 
     ball, box = Sphere((0, 0, 0), 0.5).mat("ball"), Box((-1, -1, -1), (1, 1, 1)).mat("air")
     ball.faces.name, box.faces.name, box.edges.name = "skin", "far", "rim"
-    return OCCGeometry(Glue([ball, box - ball])).GenerateMesh(maxh=0.4)
+    return OCCGeometry(Glue([ball, box - ball])).GenerateMesh(maxh=0.4, optsteps3d=0)
 
 
 def a_ring():
@@ -261,7 +261,7 @@ def a_core():
     geometry, ball = CSGeometry(), Sphere(Pnt(0.5, 0.5, 0.5), 0.3)
     geometry.Add((OrthoBrick(Pnt(0, 0, 0), Pnt(1, 1, 1)) - ball).mat("air"))
     geometry.Add(ball.mat("ball"))
-    return geometry.GenerateMesh(maxh=0.3)
+    return geometry.GenerateMesh(maxh=0.3, optsteps3d=0)
 
 
 @pytest.mark.parametrize("scale", [0.7, 1.4])
