@@ -139,7 +139,11 @@ NAMES = {".".join(path.relative_to(PACKAGE).with_suffix("").parts): path for pat
 
 
 def room(path: Path) -> str:
-    return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+    return room_of(path.relative_to(PACKAGE).as_posix())
+
+
+def room_of(file: str) -> str:
+    return file.partition("/")[0].removesuffix(".py")
 
 
 def imports(node: ast.AST) -> list[str]:
@@ -155,53 +159,58 @@ def nodes(path: Path) -> list[ast.AST]:
     return list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
 
 
-@pytest.fixture(scope="module", params=MODULES, ids=lambda p: str(p.relative_to(PACKAGE)))
-def module(request):
-    """A file and what it holds, which all tests of it share."""
-    return request.param, nodes(request.param)
+@pytest.fixture(scope="module")
+def held():
+    """What every file of the package holds, by its path in the package."""
+    return {path.relative_to(PACKAGE).as_posix(): nodes(path) for path in MODULES}
 
 
-def test_rooms_import_only_what_the_table_allows(module):
-    path, held = module
-    allowed = MAY_IMPORT[room(path)] | {room(path)}
-    for node in held:
-        assert not (isinstance(node, ast.ImportFrom) and node.level), "relative import"
-        for name in imports(node):
-            parts = name.split(".")
-            if parts[0] == "odt_plugins" and len(parts) > 1 and parts[1] in MAY_IMPORT:
-                assert parts[1] in allowed, f"{path.name}:{node.lineno} imports {name}"
+def imported(held):
+    """Every import of the package: the file, the node and a name that it may load."""
+    return [(file, node, name) for file, inside in held.items() for node in inside
+            for name in imports(node)]
 
 
-def test_nobody_imports_the_comparison_but_its_command(module):
-    path, held = module
-    if path.relative_to(PACKAGE).as_posix() != "cli/compare.py" and room(path) != "compare":
-        for node in held:
-            assert not [name for name in imports(node) if name.startswith("odt_plugins.compare")]
+def test_rooms_import_only_what_the_table_allows(held):
+    assert [f"{file}:{node.lineno}" for file, inside in held.items() for node in inside
+            if isinstance(node, ast.ImportFrom) and node.level] == []
+    wrong = []
+    for file, node, name in imported(held):
+        parts = name.split(".")
+        if parts[0] == "odt_plugins" and len(parts) > 1 and parts[1] in MAY_IMPORT and (
+                parts[1] not in MAY_IMPORT[room_of(file)] | {room_of(file)}):
+            wrong.append(f"{file}:{node.lineno} imports {name}")
+    assert wrong == []
 
 
-def test_toolkits_are_imported_in_their_place_and_inside_functions(module):
-    path, held = module
-    inside = {id(inner) for outer in held
-              if isinstance(outer, ast.FunctionDef | ast.AsyncFunctionDef)
-              for inner in ast.walk(outer)}
-    for node in held:
-        for name in imports(node):
-            toolkit = name.partition(".")[0]
-            if toolkit in TOOLKITS:
-                where = f"{path.name}:{node.lineno} imports {name}"
-                assert path.relative_to(PACKAGE).as_posix() in TOOLKITS[toolkit], where
-                assert id(node) in inside, where
+def test_nobody_imports_the_comparison_but_its_command(held):
+    assert [(file, name) for file, _, name in imported(held)
+            if name.startswith("odt_plugins.compare")
+            and file != "cli/compare.py" and room_of(file) != "compare"] == []
 
 
-def test_no_private_part_of_a_library_is_used(module):
-    for node in module[1]:
-        names = imports(node)
-        if isinstance(node, ast.ImportFrom):
-            names = [f"{node.module}.{name.name}" for name in node.names]
-        for name in names:
-            first, *rest = name.split(".")
-            assert first in ("odt_plugins", "__future__") or not [
-                part for part in rest if part.startswith("_")], name
+def test_toolkits_are_imported_in_their_place_and_inside_functions(held):
+    functions = ast.FunctionDef | ast.AsyncFunctionDef
+    inside = {id(inner) for nodes in held.values() for outer in nodes
+              if isinstance(outer, functions) for inner in ast.walk(outer)}
+    assert [f"{file}:{node.lineno} imports {name}" for file, node, name in imported(held)
+            if (toolkit := name.partition(".")[0]) in TOOLKITS
+            and (file not in TOOLKITS[toolkit] or id(node) not in inside)] == []
+
+
+def test_no_private_part_of_a_library_is_used(held):
+    private = []
+    for file, inside in held.items():
+        for node in inside:
+            names = imports(node)
+            if isinstance(node, ast.ImportFrom):
+                names = [f"{node.module}.{name.name}" for name in node.names]
+            for name in names:
+                first, *rest = name.split(".")
+                if first not in ("odt_plugins", "__future__") and any(
+                        part.startswith("_") for part in rest):
+                    private.append((file, name))
+    assert private == []
 
 
 def test_the_tables_name_the_rooms_that_exist():
@@ -210,39 +219,43 @@ def test_the_tables_name_the_rooms_that_exist():
     assert inside == set(ENGINE)
 
 
-def test_no_import_of_the_engine_runs_upward(module):
-    path, held = module
-    parts = path.relative_to(PACKAGE).parts
-    if parts[0] != "engine" or len(parts) < 3:
-        return
-    for node in held:
-        for name in imports(node):
-            if name.startswith("odt_plugins.engine.") and name.split(".")[2] in ENGINE:
-                assert ENGINE.index(name.split(".")[2]) <= ENGINE.index(parts[1]), name
+def test_no_import_of_the_engine_runs_upward(held):
+    upward = []
+    for file, _, name in imported(held):
+        parts = file.split("/")
+        if (parts[0] == "engine" and len(parts) > 2 and name.startswith("odt_plugins.engine.")
+                and name.split(".")[2] in ENGINE
+                and ENGINE.index(name.split(".")[2]) > ENGINE.index(parts[1])):
+            upward.append((file, name))
+    assert upward == []
 
 
-def test_no_imports_run_in_a_circle():
-    graph = {name: {other.removeprefix("odt_plugins.") for node in nodes(path)
-                    for other in imports(node)} & set(NAMES) for name, path in NAMES.items()}
+def test_no_imports_run_in_a_circle(held):
+    graph = {file.removesuffix(".py").replace("/", "."): {
+        other.removeprefix("odt_plugins.") for node in inside for other in imports(node)}
+        & set(NAMES) for file, inside in held.items()}
+    assert {*graph} == {*NAMES}
     TopologicalSorter(graph).prepare()
 
 
-def test_files_hold_one_idea_and_print_nothing(module):
-    path, held = module
-    assert path.stat().st_size < 24_000
-    assert ast.get_docstring(held[0])
-    if room(path) != "cli":
-        called = {node.func.id for node in held
-                  if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)}
-        assert not called & {"print", "exit", "input"}
-    assert not [n for n in held if isinstance(n, ast.Assert)]
-    assert not [n for n in held if isinstance(n, ast.ExceptHandler) and n.type is None]
+def test_files_hold_one_idea_and_print_nothing(held):
+    assert [path for path in MODULES if path.stat().st_size >= 24_000] == []
+    assert [file for file, inside in held.items() if not ast.get_docstring(inside[0])] == []
+    wrong = []
+    for file, inside in held.items():
+        for node in inside:
+            called = isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and (
+                node.func.id in {"print", "exit", "input"}) and room_of(file) != "cli"
+            bare = isinstance(node, ast.ExceptHandler) and node.type is None
+            if called or bare or isinstance(node, ast.Assert):
+                wrong.append(f"{file}:{node.lineno}")
+    assert wrong == []
 
 
-def long_lists(path: Path) -> set[str]:
+def long_lists(inside: list[ast.AST]) -> set[str]:
     """Functions with too many parameters whose first line does not say why they have so many."""
     found = set()
-    for node in nodes(path):
+    for node in inside:
         if not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
             continue
         given = node.args
@@ -255,9 +268,9 @@ def long_lists(path: Path) -> set[str]:
     return found
 
 
-def test_no_function_of_the_engine_takes_a_long_list_of_parameters():
-    found = {path.relative_to(PACKAGE / "engine").as_posix(): long_lists(path)
-             for path in MODULES if room(path) == "engine"}
+def test_no_function_of_the_engine_takes_a_long_list_of_parameters(held):
+    found = {file: long_lists(inside) for file, inside in held.items()
+             if room_of(file) == "engine"}
     assert {name: functions for name, functions in found.items() if functions} == {}
 
 
