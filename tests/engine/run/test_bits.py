@@ -6,6 +6,7 @@ import ast
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -45,6 +46,13 @@ WIDE = {"exp", "exp2", "expm1", "log", "log2", "log10", "log1p", "sin", "cos", "
 LIBRARIES = ("scipy.linalg", "scipy.sparse.linalg", "scipy.optimize")
 
 
+def names_in(node: ast.AST) -> Iterator[str]:
+    """Give the names of ``a.b.c`` from the last one to the second."""
+    while isinstance(node, ast.Attribute):
+        yield node.attr
+        node = node.value
+
+
 def uses(node: ast.AST) -> str:
     """What a node does that another processor may do with another last bit, or nothing."""
     if isinstance(node, ast.BinOp | ast.AugAssign) and isinstance(node.op, ast.MatMult):
@@ -52,12 +60,12 @@ def uses(node: ast.AST) -> str:
     if isinstance(node, ast.ImportFrom) and node.module in LIBRARIES:
         return node.module
     if isinstance(node, ast.Attribute):
-        text = ast.unparse(node)
+        text = ast.unparse(node) if {*names_in(node)} & {*PRODUCTS, *WIDE, "linalg"} else ""
         if node.attr in PRODUCTS or (text.startswith("np.") and node.attr in WIDE):
             return node.attr
-        if ast.unparse(node.value) == "np.linalg" and node.attr != "norm":
+        if text == f"np.linalg.{node.attr}" and node.attr != "norm":
             return text
-    if isinstance(node, ast.Call):
+    if isinstance(node, ast.Call) and {*names_in(node.func)} & {"norm", "einsum"}:
         given = {keyword.arg for keyword in node.keywords}
         called = ast.unparse(node.func)
         if called == "np.linalg.norm" and "axis" not in given:
