@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from scipy.spatial import Delaunay
 
@@ -24,6 +26,12 @@ def oriented(points, cells):
 
 def ball(n, seed):
     """Delaunay tetrahedra of random points in and on the unit ball."""
+    points, cells = _ball(n, seed)
+    return points.copy(), cells.copy()
+
+
+@lru_cache(maxsize=100)
+def _ball(n, seed):
     rng = np.random.default_rng(seed)
     inside = rng.normal(size=(n, 3))
     inside *= (rng.random(n) ** (1 / 3) / np.linalg.norm(inside, axis=1))[:, None] * 0.93
@@ -106,10 +114,8 @@ def quality(points, cells):
     """3 r/R from the volume, the face areas and the linear system of the circumcenter."""
     x = points[cells]
     volume = signed_volumes(points, cells)
-    area = sum(
-        0.5 * np.linalg.norm(np.cross(x[:, b] - x[:, a], x[:, c] - x[:, a]), axis=1)
-        for a, b, c in ((0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 3))
-    )
+    a, b, c = (x[:, list(corners)] for corners in ((0, 0, 0, 1), (1, 1, 2, 2), (2, 3, 3, 3)))
+    area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=2).sum(axis=1)
     edges = x[:, 1:] - x[:, :1]
     center = np.linalg.solve(2.0 * edges, (edges**2).sum(axis=2)[..., None])[..., 0]
     return 3.0 * (3.0 * volume / area) / np.linalg.norm(center, axis=1)
