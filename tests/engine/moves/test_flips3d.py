@@ -22,6 +22,7 @@ from odt_plugins.engine.topology.active import PENDING
 from odt_plugins.engine.topology.complex import renumbered
 
 
+@pytest.mark.usefixtures("nothing_compiled")
 @pytest.mark.parametrize("seed", [3, 4, 5])
 def test_energy_falls_at_every_flip_in_space_and_stuck_cells_remain(seed):
     points, cells = tm.grid(4, seed)
@@ -153,6 +154,7 @@ def test_a_complex_without_room_grows():
     assert_sound(mesh, points, tm.signed_volumes(points, cells).sum())
 
 
+@pytest.mark.usefixtures("nothing_compiled")
 @pytest.mark.parametrize("seed", range(4))
 def test_scalar_measures_agree_with_numpy(seed):
     points, cells = tm.ball(40, seed)
@@ -174,6 +176,7 @@ def test_scalar_measures_agree_with_numpy(seed):
         assert tet_energy(turned) == np.inf
 
 
+@pytest.mark.usefixtures("nothing_compiled")
 def test_in_sphere_agrees_with_the_circumcenter():
     rng = np.random.default_rng(21)
     for _ in range(100):
@@ -234,6 +237,7 @@ def test_cells_come_worst_first_within_blocks_of_slots():
     passes.worst_first(slots[:0], of_slot.__getitem__, None)
 
 
+@pytest.mark.usefixtures("nothing_compiled")
 @pytest.mark.parametrize("objective", [ENERGY, QUALITY])
 def test_remembered_costs_are_those_of_the_cells(objective):
     points, cells = tm.grid(5, 12)
