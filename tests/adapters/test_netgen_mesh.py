@@ -126,7 +126,7 @@ def test_points_of_a_face_slide_on_the_geometry(kind):
 def test_sizes_of_a_function_come_onto_the_geometry():
     from netgen.occ import OCCGeometry, Pnt, Sphere
 
-    mesh = OCCGeometry(Sphere(Pnt(0, 0, 0), 1)).GenerateMesh(maxh=2)
+    mesh = OCCGeometry(Sphere(Pnt(0, 0, 0), 1)).GenerateMesh(maxh=2, optsteps3d=0)
     out = odt_plugins.remesh(mesh, lambda x: 0.5 * (0.3 + np.abs(x[:, 0])))
     assert len(out.Elements2D()) > len(mesh.Elements2D())
     assert off_the_ball(out) < 1e-6

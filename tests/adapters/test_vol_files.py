@@ -139,7 +139,7 @@ def test_elements_of_second_order_keep_what_they_fill(d, tmp_path):
     else:
         geometry = CSGeometry()
         geometry.Add(Sphere(Pnt(0, 0, 0), 1))
-    mesh = geometry.GenerateMesh(maxh=0.4)
+    mesh = geometry.GenerateMesh(maxh=0.4, optsteps3d=0)
     mesh.SecondOrder()
     source, target = tmp_path / "a.vol", tmp_path / "b.vol"
     mesh.Save(str(source))

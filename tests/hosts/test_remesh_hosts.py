@@ -200,7 +200,8 @@ def test_netgen_with_materials_and_boundaries():
     iron.faces.Max(Z).name = "top"
     air = Box((1, 0, 0), (2, 1, 1))
     air.mat("air")
-    mesh = ngsolve.Mesh(OCCGeometry(Glue([iron, air])).GenerateMesh(maxh=0.4))
+    mesh = ngsolve.Mesh(OCCGeometry(Glue([iron, air])).GenerateMesh(
+        maxh=0.4, optsteps3d=0))
     out = odt_plugins.remesh(mesh, scale=0.75, free="periodic", **WITHIN)
     one = ngsolve.CF(1)
     assert out.GetMaterials() == mesh.GetMaterials()
