@@ -228,7 +228,7 @@ def test_compiling_does_not_count(faulty):
 
 
 def test_repeats_that_were_complete_survive_the_time_limit(faulty):
-    run = run_contestant(ball(60), faulty("second"), Limits(seconds=2.0))
+    run = run_contestant(ball(60), faulty("second"), Limits(seconds=3.0))
     assert run.status == "ok"
     assert len(run.meshes) == 1
     assert "after 1 complete run" in run.message
@@ -359,7 +359,7 @@ def test_a_tool_that_cannot_take_a_mesh_has_its_row():
 
 @pytest.fixture(scope="module")
 def result():
-    return compare_on(ball(60), choose(["Laplacian", "Netgen sm", "CGAL odt"]), QUICK)
+    return compare_on(ball(60), choose(["Laplacian", "netgen", "CGAL odt"]), QUICK)
 
 
 def test_rows_tell_figures_time_memory_and_repeats(result):
