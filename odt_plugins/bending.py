@@ -174,12 +174,18 @@ def _edges_of(rows: NDArray[Any]) -> NDArray[np.int64]:
 
 
 def _put(bent: Bent, before: FloatArray, outcome: Outcome) -> FloatArray:
-    """Points (n, d), those of the surface on the curved one where they moved or came."""
+    """Points (n, d), those of the surface and its lines on the curved ones where they moved or came.
+    """
     facets, lines = _surface(outcome, bent.angle, surface=bent.surface)
     points, used = outcome.points.copy(), np.unique(facets if facets.size else lines)
     used = used[came_or_moved(before, outcome)[used]]
-    reach = np.full(len(used), ON_LINE * diagonal(bent.points))
-    points[used] = _over(bent, points[used], reach)
+    reach = np.full(len(points), ON_LINE * diagonal(bent.points))
+    if len(lines):
+        a, b = (points[lines[:, i]] for i in range(2))
+        length = np.full(len(points), np.inf)
+        np.minimum.at(length, lines, np.sqrt(((b - a) ** 2).sum(axis=1))[:, None])
+        reach = np.where(np.isfinite(length), NEAR_LINE * length, reach)
+    points[used] = _over(bent, points[used], reach[used])
     return points
 
 
