@@ -174,8 +174,7 @@ def _edges_of(rows: NDArray[Any]) -> NDArray[np.int64]:
 
 
 def _put(bent: Bent, before: FloatArray, outcome: Outcome) -> FloatArray:
-    """Points (n, d), those of the surface and its lines on the curved ones where they moved or came.
-    """
+    """Points (n, d), those of surface and lines on the curved ones where they moved or came."""
     facets, lines = _surface(outcome, bent.angle, surface=bent.surface)
     points, used = outcome.points.copy(), np.unique(facets if facets.size else lines)
     used = used[came_or_moved(before, outcome)[used]]
