@@ -8,15 +8,19 @@ import numpy as np
 
 from odt_plugins.engine.cells.geometry import boundary_facets, signed_volumes
 from odt_plugins.engine.ground.crossings import count_crossings
-from odt_plugins.engine.ground.envelope import distances
+from odt_plugins.engine.ground.envelope import distances, uncovered, within
+from odt_plugins.engine.ground.reference import make_reference
 from odt_plugins.engine.remesh.lay_out import surface_of
 from odt_plugins.engine.run.judge import TOLERANCE, Slid
 from odt_plugins.engine.run.outcome import Outcome
-from odt_plugins.mesh.arrays import IntArray
+from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.simplex import SimplexMesh
 
 CUT = "the boundary cuts through itself"
 """What is broken where more triangles of the boundary cross than in the input."""
+
+BEYOND = "beyond the envelope of"
+"""Part of what is said to be broken where surfaces are too far from those of the input."""
 
 
 def furthest(mesh: SimplexMesh, outcome: Outcome, envelope: float) -> tuple[float, float]:
@@ -29,6 +33,18 @@ def furthest(mesh: SimplexMesh, outcome: Outcome, envelope: float) -> tuple[floa
         both = distances((outcome.points, rows), (mesh.points, old[pair]), TOLERANCE * envelope)
         forward, backward = max(forward, both.forward_upper), max(backward, both.backward_upper)
     return forward, backward
+
+
+def astray(mesh: SimplexMesh, outcome: Outcome, envelope: float) -> FloatArray:
+    """Corners (k, 3) of triangles and lines of either mesh that may be further apart, both ways."""
+    old, places = _surfaces(mesh), [outcome.points[:0, :3]]
+    for pair, rows in _surfaces(outcome).items():
+        if pair in old:
+            was = make_reference(mesh.points, old[pair])
+            far = rows[~within(was, outcome.points, rows, envelope)]
+            left = uncovered(was, outcome.points, rows, envelope).triangles
+            places += [outcome.points[np.unique(far)], mesh.points[np.unique(old[pair][left])]]
+    return np.concatenate(places)
 
 
 def _surfaces(mesh: SimplexMesh | Outcome) -> dict[tuple[int, ...], IntArray]:
@@ -50,8 +66,8 @@ def beyond(mesh: SimplexMesh, outcome: Outcome, envelope: float) -> tuple[list[s
     was, now = (float(signed_volumes(x.points, x.cells).sum()) for x in (mesh, outcome))
     slid = Slid(envelope, forward, backward, now / was - 1.0, int(moved.sum()))
     if not max(forward, backward) <= envelope:
-        return [f"the boundary is up to {max(forward, backward):.3g} from the input's, beyond the "
-                f"envelope of {envelope:.3g}"], slid
+        return [f"the boundary is up to {max(forward, backward):.3g} from the input's, "
+                f"{BEYOND} {envelope:.3g}"], slid
     before, after = boundary_facets(mesh.cells), boundary_facets(outcome.cells)
     crossings = count_crossings(outcome.points, after)
     if crossings and crossings > count_crossings(mesh.points, before):

@@ -10,20 +10,25 @@ from typing import Any
 
 import numpy as np
 
-from odt_plugins.engine.cells.geometry import boundary_facets, signed_volumes
 from odt_plugins.engine.compiled.threads import thread_pool, worth
-from odt_plugins.engine.ground.crossings import crossing_triangles
 from odt_plugins.engine.odt.density import NodalDensity, make_density
 from odt_plugins.engine.odt.rounds import Log
-from odt_plugins.engine.record.figures import Figures, cell_shapes, figures
+from odt_plugins.engine.record.figures import figures
 from odt_plugins.engine.record.memory import State
-from odt_plugins.engine.record.relaxed import relaxed, spoiling
 from odt_plugins.engine.remesh.chords import sizes_as_wished
-from odt_plugins.engine.remesh.distance import CUT, beyond, furthest
+from odt_plugins.engine.remesh.distance import BEYOND, CUT, beyond, furthest
 from odt_plugins.engine.remesh.finish import MORE, Resized, Room, finished, sums
 from odt_plugins.engine.remesh.lay_out import lay_out
 from odt_plugins.engine.remesh.notes import told_of_edges
 from odt_plugins.engine.remesh.onto import on_smooth
+from odt_plugins.engine.remesh.places import (
+    allowed_figures,
+    gone_astray,
+    newly_cut,
+    of_small_regions,
+    seen_figures,
+    spoiled_cells,
+)
 from odt_plugins.engine.remesh.sizes import Sizes, expected_cells, factor_for, local_sizes
 from odt_plugins.engine.remesh.volume import Resizing, arrays_of, resize
 from odt_plugins.engine.remesh.whole import beside_whole, holds
@@ -33,14 +38,12 @@ from odt_plugins.engine.run.judge import envelope_length
 from odt_plugins.engine.run.outcome import Leaving, Outcome, as_it_is, unchanged
 from odt_plugins.engine.run.work import extremes, make_start
 from odt_plugins.errors import InvalidMeshError, counted
-from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
+from odt_plugins.mesh.arrays import BoolArray, FloatArray
 from odt_plugins.mesh.faces import Faces, joined, renumbered, without
 from odt_plugins.mesh.numbering import new_numbers
-from odt_plugins.mesh.seen import as_seen
 from odt_plugins.mesh.simplex import SimplexMesh, diagonal, freeze
 from odt_plugins.options import Options
 from odt_plugins.progress import part, silent
-from odt_plugins.promise.region_sizes import other_sizes
 from odt_plugins.promise.remeshed import broken_by_remeshing
 
 SHARES = (0.7, 0.4)
@@ -69,9 +72,6 @@ MOST_GIVEN_WAY = 10
 """Multiple of the cells that are expected, or of those of the input, beyond which sizes do not give
 way to those of a surface or of the input."""
 
-REACH = 0.7
-"""Vertices of the input are held that are nearer to a spoiled place, in units of the size."""
-
 NARROWER, NARROW = 0.2, 0.05
 """Part of its envelope that a surface may use where it cut through itself, or where it bounds a
 small region whose volume became another, and largest part that becomes no smaller."""
@@ -81,10 +81,6 @@ CLOSE = 1.1
 
 LONGER = 1.11
 """Sizes are worked with so many times as long, so that edges have them on average."""
-
-
-MOST_UNLIKE = 0.5
-"""Part of the whole from which on regions whose volume is another are not small."""
 
 
 def remesh(mesh: SimplexMesh, options: Options, leaving: Leaving, wish: Wish) -> Outcome:
@@ -231,8 +227,9 @@ def _tries(
     """Resize until the promise holds; None and why where it does not.
 
     Where figures fall, sizes give way to those that the surface has reached, and then to those of
-    the input. Where the surface cuts through itself, and around small regions whose volume becomes
-    another, it may use less of the envelope; such a region stays where that does not help. Cells of
+    the input. Where the surface cuts through itself or is beyond the envelope, and around small
+    regions whose volume becomes another, it may use less of the envelope; such a region stays where
+    that does not help. Cells of
     the input stay where cells that it does not allow came nevertheless, and sizes fall from there,
     see :func:`beside_whole`; within smaller and smaller parts of the envelope, at last with a
     boundary that stays.
@@ -249,8 +246,13 @@ def _tries(
             if not broken:
                 return _explained(mesh, held, outcome, whys, slides and share == 0.0), ""
             whys.append(broken[0])
-            spoiled = _spoiled(mesh, outcome, wanted, options)
-            falls = _fallen(mesh, outcome, options, few=0.0 < spoiled.mean() <= FEW_SPOILED)
+            far = np.zeros(len(mesh.points), dtype=np.bool_)
+            if BEYOND in broken[0]:
+                far = gone_astray(mesh, outcome, wanted, envelope_length(mesh, options) - mesh.sag)
+            spoiled: Any = far[mesh.cells].any(axis=1) if far.any() else spoiled_cells(
+                mesh, outcome, wanted, options)
+            falls = not far.any() and _fallen(
+                mesh, outcome, options, few=0.0 < spoiled.mean() <= FEW_SPOILED)
             if falls and share > 0.0 and not relents and (
                     wanted.values > CLOSE * local_sizes(mesh)).any():
                 relents = True
@@ -259,8 +261,10 @@ def _tries(
             if nearer is not None:
                 wanted = nearer
                 continue
-            cut, small = _newly_cut(mesh, outcome, wanted), _of_small_regions(mesh, outcome)
-            near, least = (cut, NARROW) if broken[0] == CUT else (small, NARROWER)
+            small = of_small_regions(mesh, outcome)
+            near, least = (far, NARROW) if far.any() else (small, NARROWER)
+            if broken[0] == CUT:
+                near, least = newly_cut(mesh, outcome, wanted), NARROW
             if near.any() and narrow[near].min() > least:
                 narrow = np.where(near, NARROWER * narrow, narrow)
                 continue
@@ -283,7 +287,8 @@ def _fallen(mesh: SimplexMesh, outcome: Outcome, options: Options, *, few: bool)
 
     Those of the worst cells do not count where these are few, near which the input may stay.
     """
-    fallen = set(_figures(outcome).worse_than(_allowed(mesh, options), tuple(options.keep)))
+    fallen = set(seen_figures(outcome).worse_than(
+        allowed_figures(mesh, options), tuple(options.keep)))
     return bool(fallen - EXTREMES if few else fallen)
 
 
@@ -329,62 +334,6 @@ def _explained(
     return outcome
 
 
-def _figures(mesh: SimplexMesh | Outcome) -> Figures:
-    """Figures of a mesh, as it is seen."""
-    return figures(*as_seen(mesh.points, mesh.cells, mesh.metric))
-
-
-def _allowed(mesh: SimplexMesh, options: Options) -> Figures:
-    """Figures down to which those of a mesh may fall."""
-    return relaxed(_figures(mesh), tuple(options.keep), 4)
-
-
-def _spoiled(mesh: SimplexMesh, outcome: Outcome, sizes: Sizes, options: Options) -> BoolArray:
-    """Cells (m,) of the input near cells that pass its extremes, or near triangles that cross."""
-    shapes = cell_shapes(*as_seen(outcome.points, outcome.cells, outcome.metric))
-    bad = spoiling(_allowed(mesh, options), _figures(outcome), shapes, tuple(options.keep))
-    near = _near(mesh, outcome, outcome.cells[bad], sizes) | _near(
-        mesh, outcome, _crossed(outcome), sizes)
-    return np.asarray(near[mesh.cells].any(axis=1))
-
-
-def _newly_cut(mesh: SimplexMesh, outcome: Outcome, sizes: Sizes) -> BoolArray:
-    """Vertices (n,) of the input near triangles that cut others, but near none of its own."""
-    return _near(mesh, outcome, _crossed(outcome), sizes) & ~_near(
-        mesh, mesh, _crossed(mesh), sizes)
-
-
-def _of_small_regions(mesh: SimplexMesh, outcome: Outcome) -> BoolArray:
-    """Vertices (n,) of the input of regions whose volume is another, if these are small."""
-    others = other_sizes(mesh, outcome.points, outcome.cells, outcome.regions)
-    whole = float(signed_volumes(mesh.points, mesh.cells).sum())
-    near = np.zeros(len(mesh.points), dtype=np.bool_)
-    if sum(first for _, first, _ in others) < MOST_UNLIKE * whole:
-        labels = [label for label, *_ in others]
-        near[mesh.cells[np.isin(mesh.bodies(), labels)]] = True
-    return near
-
-
-def _crossed(outcome: SimplexMesh | Outcome) -> IntArray:
-    """Triangles (k, 3) of the boundary that cut others."""
-    facets = boundary_facets(outcome.cells)
-    return facets[crossing_triangles(outcome.points, facets)]
-
-
-def _near(
-    mesh: SimplexMesh, outcome: SimplexMesh | Outcome, places: IntArray, sizes: Sizes
-) -> BoolArray:
-    """Vertices (n,) of the input near vertices of an outcome."""
-    from scipy.spatial import cKDTree
-
-    near = np.zeros(len(mesh.points), dtype=np.bool_)
-    if len(places):
-        used = np.unique(mesh.cells)
-        far = cKDTree(outcome.points[np.unique(places)]).query(mesh.points[used])[0]
-        near[used] = far <= REACH * sizes.values[used]
-    return near
-
-
 def _once(
     mesh: SimplexMesh, sizes: Sizes, asked: FloatArray, options: Options, leaving: Leaving,
     shares: FloatArray, room: Room, *, relents: bool,
@@ -406,8 +355,8 @@ def _once(
         far = furthest(mesh, resized, envelope - mesh.sag)
         left = envelope - max(far[0], far[1]) - mesh.sag
         if not left > 0.0:
-            return resized, [f"the resized surface is {max(far):.3g} from the input's, beyond the "
-                             f"envelope of {envelope:.3g}"]
+            return resized, [f"the resized surface is {max(far):.3g} from the input's, "
+                             f"{BEYOND} {envelope:.3g}"]
     times = {"resizing": time.perf_counter() - clock}
     inner = replace(
         options, boundary="slide" if share > 0.0 else "fixed",
@@ -461,7 +410,7 @@ def _resized(
         for coarse in (False, True):
             body, guard, scratch, names = lay_out(
                 start, holds(mesh)[frame.vertices], reach, options.feature_angle,
-                extremes(_allowed(mesh, options), tuple(options.keep)).cells)
+                extremes(allowed_figures(mesh, options), tuple(options.keep)).cells)
             were = [frame.vertices[s.rows[s.live()]] for s in (body.segments, body.triangles)]
             log = Log()
             work = Resizing(body, guard, scratch, field, field.walk_start(len(start.points)), log,

@@ -13,6 +13,7 @@ from tet_meshes import ball
 
 import odt_plugins
 import odt_plugins.engine.remesh.finish as remesh_finish
+import odt_plugins.engine.remesh.places as remesh_places
 import odt_plugins.engine.remesh.run as remesh_run
 import odt_plugins.engine.remesh.volume as remesh_volume
 from odt_plugins.engine.cells.measures import QUALITY
@@ -381,7 +382,7 @@ def test_a_small_region_of_another_volume_has_less_of_the_envelope_and_then_stay
         return outcome, ["the volume of region 1 is another"] if len(calls) < 3 else broken
 
     monkeypatch.setattr(remesh_run, "_once", refused)
-    monkeypatch.setattr(remesh_run, "other_sizes", lambda *_: [(1, 0.1, 0.2)])
+    monkeypatch.setattr(remesh_places, "other_sizes", lambda *_: [(1, 0.1, 0.2)])
     monkeypatch.setattr(remesh_run, "_fallen", lambda *_args, **_named: False)
     x, rows, labels = odt_plugins.remesh(
         (points, cells, small.astype(np.int32)), scale=0.8, envelope=0.02, keep=())

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from tet_meshes import ball, signed_volumes
 
 import odt_plugins
+from odt_plugins.engine.remesh import places as places_module
 from odt_plugins.engine.remesh import run
+from odt_plugins.engine.remesh.distance import BEYOND, astray
+from odt_plugins.engine.run.outcome import unchanged
+from odt_plugins.mesh.simplex import simplex_mesh
 
 
 def test_sizes_give_way_everywhere_before_less_of_the_envelope_is_tried(monkeypatch):
@@ -21,7 +27,7 @@ def test_sizes_give_way_everywhere_before_less_of_the_envelope_is_tried(monkeypa
     monkeypatch.setattr(run, "_once", once)
     monkeypatch.setattr(run, "_fallen", lambda *_, **__: True)
     points, cells = ball(800, 3)
-    monkeypatch.setattr(run, "_spoiled", lambda *_: np.arange(len(cells)) < len(cells) // 50)
+    monkeypatch.setattr(run, "spoiled_cells", lambda *_: np.arange(len(cells)) < len(cells) // 50)
     x, t = odt_plugins.remesh((points, cells), scale=1.8)
     (first, wanted), (last, smaller) = tries[0], tries[-1]
     assert first > last > 0.0
@@ -30,3 +36,50 @@ def test_sizes_give_way_everywhere_before_less_of_the_envelope_is_tried(monkeypa
     assert signed_volumes(x, t).min() > 0.0
     assert len(t) < len(cells)
     assert np.isfinite(x).all()
+
+
+def test_less_of_the_envelope_is_used_where_the_surface_came_too_far_alone(monkeypatch):
+    tries, real, measured = [], run._once, run.furthest
+    points, cells = ball(800, 3)
+    moved = points.copy()
+    moved[points[:, 0].argmax()] *= 1.3
+
+    def once(mesh, sizes, asked, options, leaving, shares, room, *, relents):
+        outcome, broken = real(mesh, sizes, asked, options, leaving, shares, room, relents=relents)
+        tries.append((shares, mesh.frozen.any(), broken))
+        return outcome, broken
+
+    def far(mesh, outcome, envelope):
+        found = measured(mesh, outcome, envelope)
+        return found if tries else (found[0], 1.0)
+
+    def places(mesh, outcome, envelope):
+        return astray(mesh, replace(outcome, points=moved, cells=mesh.cells, faces=mesh.faces,
+                                    regions=mesh.regions), envelope)
+
+    monkeypatch.setattr(run, "_once", once)
+    monkeypatch.setattr(run, "furthest", far)
+    monkeypatch.setattr(places_module, "astray", places)
+    _, report = odt_plugins.remesh_with_report((points, cells), scale=1.2)
+    (first, *_, broken), (second, held, _) = tries[:2]
+    assert BEYOND in broken[0]
+    assert not held
+    assert (first == first[0]).all()
+    less = second < first
+    assert np.flatnonzero(less).size < 0.1 * len(points)
+    assert less[points[:, 0].argmax()]
+    assert report.fallback is None
+
+
+def test_what_is_astray_is_near_what_moved():
+    points, cells = ball(800, 3)
+    mesh, _ = simplex_mesh(points, cells)
+    top = int(points[:, 2].argmax())
+    moved = points.copy()
+    moved[top] *= 1.1
+    outcome = unchanged(mesh, "")
+    assert not len(astray(mesh, outcome, 1e-9))
+    places = astray(mesh, replace(outcome, points=moved), 0.05)
+    assert len(places)
+    assert np.linalg.norm(places - moved[top], axis=1).max() < 0.6
+    assert not len(astray(mesh, replace(outcome, points=moved), 0.11))

@@ -1,0 +1,91 @@
+"""Where of its input a mesh that was given other sizes does not keep the promise."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from odt_plugins.engine.cells.geometry import boundary_facets, signed_volumes
+from odt_plugins.engine.ground.crossings import crossing_triangles
+from odt_plugins.engine.record.figures import Figures, cell_shapes, figures
+from odt_plugins.engine.record.relaxed import relaxed, spoiling
+from odt_plugins.engine.remesh.distance import astray
+from odt_plugins.engine.remesh.sizes import Sizes
+from odt_plugins.engine.run.outcome import Outcome
+from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
+from odt_plugins.mesh.seen import as_seen
+from odt_plugins.mesh.simplex import SimplexMesh
+from odt_plugins.options import Options
+from odt_plugins.promise.region_sizes import other_sizes
+
+REACH = 0.7
+"""Vertices of the input are held that are nearer to a spoiled place, in units of the size."""
+
+MOST_UNLIKE = 0.5
+"""Part of the whole from which on regions whose volume is another are not small."""
+
+
+def seen_figures(mesh: SimplexMesh | Outcome) -> Figures:
+    """Figures of a mesh, as it is seen."""
+    return figures(*as_seen(mesh.points, mesh.cells, mesh.metric))
+
+
+def allowed_figures(mesh: SimplexMesh, options: Options) -> Figures:
+    """Figures down to which those of a mesh may fall."""
+    return relaxed(seen_figures(mesh), tuple(options.keep), 4)
+
+
+def spoiled_cells(mesh: SimplexMesh, outcome: Outcome, sizes: Sizes, options: Options) -> BoolArray:
+    """Cells (m,) of the input near cells that pass its extremes, or near triangles that cross."""
+    shapes = cell_shapes(*as_seen(outcome.points, outcome.cells, outcome.metric))
+    bad = spoiling(
+        allowed_figures(mesh, options), seen_figures(outcome), shapes, tuple(options.keep))
+    near = _near(mesh, _corners(outcome, outcome.cells[bad]), sizes) | _near(
+        mesh, _corners(outcome, _crossed(outcome)), sizes)
+    return np.asarray(near[mesh.cells].any(axis=1))
+
+
+def newly_cut(mesh: SimplexMesh, outcome: Outcome, sizes: Sizes) -> BoolArray:
+    """Vertices (n,) of the input near triangles that cut others, but near none of its own."""
+    return _near(mesh, _corners(outcome, _crossed(outcome)), sizes) & ~_near(
+        mesh, _corners(mesh, _crossed(mesh)), sizes)
+
+
+def of_small_regions(mesh: SimplexMesh, outcome: Outcome) -> BoolArray:
+    """Vertices (n,) of the input of regions whose volume is another, if these are small."""
+    others = other_sizes(mesh, outcome.points, outcome.cells, outcome.regions)
+    whole = float(signed_volumes(mesh.points, mesh.cells).sum())
+    near = np.zeros(len(mesh.points), dtype=np.bool_)
+    if sum(first for _, first, _ in others) < MOST_UNLIKE * whole:
+        labels = [label for label, *_ in others]
+        near[mesh.cells[np.isin(mesh.bodies(), labels)]] = True
+    return near
+
+
+def _crossed(outcome: SimplexMesh | Outcome) -> IntArray:
+    """Triangles (k, 3) of the boundary that cut others."""
+    facets = boundary_facets(outcome.cells)
+    return facets[crossing_triangles(outcome.points, facets)]
+
+
+def gone_astray(
+    mesh: SimplexMesh, outcome: Outcome, sizes: Sizes, envelope: float
+) -> BoolArray:
+    """Vertices (n,) of the input near surfaces that may be beyond an envelope."""
+    return _near(mesh, astray(mesh, outcome, envelope), sizes)
+
+
+def _corners(mesh: SimplexMesh | Outcome, rows: IntArray) -> FloatArray:
+    """Places (k, 3) of the vertices of some simplices."""
+    return mesh.points[np.unique(rows)]
+
+
+def _near(mesh: SimplexMesh, places: FloatArray, sizes: Sizes) -> BoolArray:
+    """Vertices (n,) of the input near places (k, 3)."""
+    from scipy.spatial import cKDTree
+
+    near = np.zeros(len(mesh.points), dtype=np.bool_)
+    if len(places):
+        used = np.unique(mesh.cells)
+        far = cKDTree(places).query(mesh.points[used])[0]
+        near[used] = far <= REACH * sizes.values[used]
+    return near
