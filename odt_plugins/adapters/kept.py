@@ -451,9 +451,11 @@ def _places(mesh: SimplexMesh, edges: IntArray) -> str:
 def _hold_periodic(
     mesh: SimplexMesh, coupled: NDArray[Any] | None, *, resized: bool
 ) -> tuple[SimplexMesh, int, int]:
-    """Hold faces that correspond to each other; how many vertices they and triangles others have.
+    """Hold faces that correspond to each other, but those that do so by chance if ``resized``.
 
-    The others do so by chance where they are ``resized``, and are not held.
+    Returns
+    -------
+    SimplexMesh, int, int    the mesh, vertices that are held, triangles that match by chance
     """
     held, used = np.zeros((2, len(mesh.points)), dtype=np.bool_)
     used[mesh.cells] = True

@@ -181,14 +181,13 @@ def _follow_surface(out: Any, result: Result, host: HostMesh, rows: IndexArray) 
             np.asarray(host.source.point_data[name]), host.cells, result.feet)
     if not result.curved:
         return
-    every = np.ones(len(result.points), dtype=np.bool_)
-    for data, own in ((out.point_data, every),
-                      (out.cell_data, np.isin(rows, optimised_cells(host)))):
+    for data, own, of_vertices in ((out.point_data, slice(None), True),
+                                   (out.cell_data, np.isin(rows, optimised_cells(host)), False)):
         for name in {data.active_normals_name, NORMALS}.intersection(data.keys()):
             values = np.array(data[name])
             if are_normals(values):
-                values[own] = renewed(values[own], result.points, result.cells,
-                                      of_vertices=own is every)
+                values[own] = renewed(
+                    values[own], result.points, result.cells, of_vertices=of_vertices)
                 data[name] = values
 
 

@@ -25,9 +25,10 @@ def relaxed(before: Figures, keep: tuple[str, ...], corners: int) -> Figures:
 def spoiling(
     bounds: Figures, after: Figures, shapes: FloatArray, keep: tuple[str, ...]
 ) -> BoolArray:
-    """Which cells (m,) of a mesh pass extremes of bounds, or are of a tail that is worse.
+    """Which cells (m,) of a mesh make its figures worse than bounds.
 
-    ``after`` are the figures of that mesh, ``shapes`` its ``figures.cell_shapes``.
+    They pass an extreme, or are of a tail that became worse. ``after`` are the figures of the mesh,
+    ``shapes`` its ``figures.cell_shapes``.
     """
     spoiled, worse = bounds.passed_by(shapes, keep), after.worse_than(bounds, keep)
     if "p1_quality" in worse:

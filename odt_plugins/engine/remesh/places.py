@@ -18,10 +18,10 @@ from odt_plugins.options import Options
 from odt_plugins.promise.region_sizes import other_sizes
 
 REACH = 0.7
-"""Vertices of the input are held that are nearer to a spoiled place, in units of the size."""
+"""Largest distance, in sizes, for which a vertex of the input is near a place."""
 
 MOST_UNLIKE = 0.5
-"""Part of the whole from which on regions whose volume is another are not small."""
+"""Least part of the whole for which regions whose volume is another are not small."""
 
 
 def seen_figures(mesh: SimplexMesh | Outcome) -> Figures:
@@ -61,17 +61,17 @@ def of_small_regions(mesh: SimplexMesh, outcome: Outcome) -> BoolArray:
     return near
 
 
-def _crossed(outcome: SimplexMesh | Outcome) -> IntArray:
-    """Triangles (k, 3) of the boundary that cut others."""
-    facets = boundary_facets(outcome.cells)
-    return facets[crossing_triangles(outcome.points, facets)]
-
-
 def gone_astray(
     mesh: SimplexMesh, outcome: Outcome, sizes: Sizes, envelope: float
 ) -> BoolArray:
     """Vertices (n,) of the input near surfaces that may be beyond an envelope."""
     return _near(mesh, astray(mesh, outcome, envelope), sizes)
+
+
+def _crossed(outcome: SimplexMesh | Outcome) -> IntArray:
+    """Triangles (k, 3) of the boundary that cut others."""
+    facets = boundary_facets(outcome.cells)
+    return facets[crossing_triangles(outcome.points, facets)]
 
 
 def _corners(mesh: SimplexMesh | Outcome, rows: IntArray) -> FloatArray:

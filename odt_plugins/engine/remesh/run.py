@@ -229,10 +229,10 @@ def _tries(
     Where figures fall, sizes give way to those that the surface has reached, and then to those of
     the input. Where the surface cuts through itself or is beyond the envelope, and around small
     regions whose volume becomes another, it may use less of the envelope; such a region stays where
-    that does not help. Cells of
-    the input stay where cells that it does not allow came nevertheless, and sizes fall from there,
-    see :func:`beside_whole`; within smaller and smaller parts of the envelope, at last with a
-    boundary that stays.
+    that does not help. Cells of the input stay where cells that it does not allow came
+    nevertheless, and sizes fall from there, see :func:`beside_whole`. Then sizes are halfway to
+    those of the input where figures still fall, and the part of the envelope is smaller; at last
+    the boundary stays.
     """
     whys: list[str] = []
     slides, falls = options.boundary == "slide", False
