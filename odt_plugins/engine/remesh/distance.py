@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from enum import Enum
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,11 +17,25 @@ from odt_plugins.engine.run.outcome import Outcome
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.simplex import SimplexMesh
 
-CUT = "the boundary cuts through itself"
-"""What is broken where more triangles of the boundary cross than in the input."""
 
-BEYOND = "beyond the envelope of"
-"""Part of what is said to be broken where surfaces are too far from those of the input."""
+class Kind(Enum):
+    """Kinds of what is broken: the envelope, that surfaces do not cross, or something else."""
+
+    BEYOND = "beyond"
+    CUT = "cut"
+    OTHER = "other"
+
+
+class Broken(NamedTuple):
+    """What of the promise a mesh breaks, in a sentence, and of which kind it is."""
+
+    why: str
+    kind: Kind = Kind.OTHER
+
+
+def too_far(what: str, envelope: float) -> Broken:
+    """What is broken where something, as it is said, is beyond the envelope."""
+    return Broken(f"{what} from the input's, beyond the envelope of {envelope:.3g}", Kind.BEYOND)
 
 
 def furthest(mesh: SimplexMesh, outcome: Outcome, envelope: float) -> tuple[float, float]:
@@ -57,8 +72,8 @@ def _surfaces(mesh: SimplexMesh | Outcome) -> dict[tuple[int, ...], IntArray]:
         (label,): rows[labels == label][:, [0, 1, 1]] for label in np.unique(labels).tolist()}
 
 
-def beyond(mesh: SimplexMesh, outcome: Outcome, envelope: float) -> tuple[list[str], Slid]:
-    """What surfaces that were resized break: the envelope, or that they do not cross."""
+def beyond(mesh: SimplexMesh, outcome: Outcome, envelope: float) -> tuple[Broken | None, Slid]:
+    """What surfaces that were resized break, and how they slid."""
     forward, backward = furthest(mesh, outcome, envelope)
     origin: Any = outcome.origin
     kept = origin >= 0
@@ -66,10 +81,9 @@ def beyond(mesh: SimplexMesh, outcome: Outcome, envelope: float) -> tuple[list[s
     was, now = (float(signed_volumes(x.points, x.cells).sum()) for x in (mesh, outcome))
     slid = Slid(envelope, forward, backward, now / was - 1.0, int(moved.sum()))
     if not max(forward, backward) <= envelope:
-        return [f"the boundary is up to {max(forward, backward):.3g} from the input's, "
-                f"{BEYOND} {envelope:.3g}"], slid
+        return too_far(f"the boundary is up to {max(forward, backward):.3g}", envelope), slid
     before, after = boundary_facets(mesh.cells), boundary_facets(outcome.cells)
     crossings = count_crossings(outcome.points, after)
     if crossings and crossings > count_crossings(mesh.points, before):
-        return [CUT], slid
-    return [], slid
+        return Broken("the boundary cuts through itself", Kind.CUT), slid
+    return None, slid

@@ -16,32 +16,32 @@ from odt_plugins.engine.odt.rounds import Log
 from odt_plugins.engine.record.figures import figures
 from odt_plugins.engine.record.memory import State
 from odt_plugins.engine.remesh.chords import sizes_as_wished
-from odt_plugins.engine.remesh.distance import BEYOND, CUT, beyond, furthest
+from odt_plugins.engine.remesh.distance import Broken, beyond, furthest, too_far
 from odt_plugins.engine.remesh.finish import MORE, Resized, Room, finished, sums
 from odt_plugins.engine.remesh.lay_out import lay_out
 from odt_plugins.engine.remesh.notes import told_of_edges
 from odt_plugins.engine.remesh.onto import on_smooth
-from odt_plugins.engine.remesh.places import (
-    allowed_figures,
-    gone_astray,
-    newly_cut,
-    of_small_regions,
-    seen_figures,
-    spoiled_cells,
+from odt_plugins.engine.remesh.places import allowed_figures
+from odt_plugins.engine.remesh.remedies import (
+    MOST_HELD,
+    Attempt,
+    most_given_way,
+    nearer,
+    remedy,
 )
-from odt_plugins.engine.remesh.sizes import Sizes, expected_cells, factor_for, local_sizes
+from odt_plugins.engine.remesh.sizes import Sizes, factor_for, local_sizes
 from odt_plugins.engine.remesh.volume import Resizing, arrays_of, resize
-from odt_plugins.engine.remesh.whole import beside_whole, holds
+from odt_plugins.engine.remesh.whole import holds
 from odt_plugins.engine.remesh.wish import Wish
 from odt_plugins.engine.retile.run import retile
 from odt_plugins.engine.run.judge import envelope_length
 from odt_plugins.engine.run.outcome import Leaving, Outcome, as_it_is, unchanged
 from odt_plugins.engine.run.work import extremes, make_start
 from odt_plugins.errors import InvalidMeshError, counted
-from odt_plugins.mesh.arrays import BoolArray, FloatArray
+from odt_plugins.mesh.arrays import FloatArray
 from odt_plugins.mesh.faces import Faces, joined, renumbered, without
 from odt_plugins.mesh.numbering import new_numbers
-from odt_plugins.mesh.simplex import SimplexMesh, diagonal, freeze
+from odt_plugins.mesh.simplex import SimplexMesh, diagonal
 from odt_plugins.options import Options
 from odt_plugins.progress import part, silent
 from odt_plugins.promise.remeshed import broken_by_remeshing
@@ -53,31 +53,10 @@ holds; sliding has the rest."""
 ATTEMPTS = 4
 """Most times within one part; each holds the input around what those before spoiled."""
 
-MOST_HELD, NEARLY_ALL = 0.3, 0.9
-"""Part of the cells of the input from which on no more are held, and largest part that is held."""
-
-FEW_SPOILED = 0.05
-"""Part of the cells of the input up to which they stay, where the worst cells alone are spoiled,
-before sizes give way."""
-
-EXTREMES = frozenset({"min_quality", "min_angle", "max_angle", "min_altitude"})
-"""Figures of the worst cell."""
-
 CROWDED = {2: 200, 3: 20}
 """Multiple of the cells that are expected, or of those of the input, from which on none are split,
 by dimension: a metric that differs a lot, needles in it along feature lines, and feature lines much
 shorter than the sizes take more."""
-
-MOST_GIVEN_WAY = 10
-"""Multiple of the cells that are expected, or of those of the input, beyond which sizes do not give
-way to those of a surface or of the input."""
-
-NARROWER, NARROW = 0.2, 0.05
-"""Part of its envelope that a surface may use where it cut through itself, or where it bounds a
-small region whose volume became another, and largest part that becomes no smaller."""
-
-CLOSE = 1.1
-"""Multiple of the sizes of the input up to which sizes are no longer than those."""
 
 LONGER = 1.11
 """Sizes are worked with so many times as long, so that edges have them on average."""
@@ -178,7 +157,7 @@ def _triangles(
         why = why or outcome.fallback
         if outcome.fallback is None or _stays(mesh, outcome) <= MOST_HELD:
             break
-        wanted = _nearer(mesh, wanted, np.zeros(len(mesh.cells), dtype=np.bool_))
+        wanted = nearer(mesh, wanted, np.zeros(len(mesh.cells), dtype=np.bool_))
     return best
 
 
@@ -226,94 +205,30 @@ def _tries(
 ) -> tuple[Outcome | None, str]:
     """Resize until the promise holds; None and why where it does not.
 
-    Where figures fall, sizes give way to those that the surface has reached, and then to those of
-    the input. Where the surface cuts through itself or is beyond the envelope, and around small
-    regions whose volume becomes another, it may use less of the envelope; such a region stays where
-    that does not help. Cells of the input stay where cells that it does not allow came
-    nevertheless, and sizes fall from there, see :func:`beside_whole`. Then sizes are halfway to
-    those of the input where figures still fall, and the part of the envelope is smaller; at last
-    the boundary stays.
+    Within each share of the envelope :func:`remedy` says what is tried next. Then sizes are halfway
+    to those of the input where figures still fall, and the share is smaller; at last the boundary
+    stays.
     """
     whys: list[str] = []
     slides, falls = options.boundary == "slide", False
-    wanted, relents, narrow = sizes, len(mesh.metric) > 0, np.ones(len(mesh.points))
+    attempt = Attempt(mesh, sizes, np.ones(len(mesh.points)), len(mesh.metric) > 0)
     for share in (*(SHARES if slides else ()), 0.0):
-        held = mesh
+        following: Attempt | None = attempt._replace(mesh=mesh)
         for _ in range(ATTEMPTS):
-            outcome, broken = _once(
-                held, wanted, sizes.values, options, leaving, share * narrow, room,
-                relents=relents)
-            if not broken:
-                return _explained(mesh, held, outcome, whys, slides and share == 0.0), ""
-            whys.append(broken[0])
-            far = np.zeros(len(mesh.points), dtype=np.bool_)
-            if BEYOND in broken[0]:
-                far = gone_astray(mesh, outcome, wanted, envelope_length(mesh, options) - mesh.sag)
-            spoiled: Any = far[mesh.cells].any(axis=1) if far.any() else spoiled_cells(
-                mesh, outcome, wanted, options)
-            falls = not far.any() and _fallen(
-                mesh, outcome, options, few=0.0 < spoiled.mean() <= FEW_SPOILED)
-            if falls and share > 0.0 and not relents and (
-                    wanted.values > CLOSE * local_sizes(mesh)).any():
-                relents = True
-                continue
-            nearer = _nearer(mesh, wanted, spoiled) if falls else None
-            if nearer is not None:
-                wanted = nearer
-                continue
-            small = of_small_regions(mesh, outcome)
-            near, least = (far, NARROW) if far.any() else (small, NARROWER)
-            if broken[0] == CUT:
-                near, least = newly_cut(mesh, outcome, wanted), NARROW
-            if near.any() and narrow[near].min() > least:
-                narrow = np.where(near, NARROWER * narrow, narrow)
-                continue
-            spoiled = (spoiled | small[mesh.cells].all(axis=1)) & ~held.frozen
-            few = spoiled.any() and held.frozen.mean() <= MOST_HELD and (
-                spoiled | held.frozen).mean() <= NEARLY_ALL
-            if few:
-                held = freeze(held, held.frozen | spoiled)
-            longer = beside_whole(held, wanted, spoiled, slides=share > 0.0)
-            if not few and not (falls and longer):
+            if following is None:
                 break
-            wanted = longer or wanted
+            attempt = following
+            outcome, broken = _once(attempt, sizes.values, options, leaving, share, room)
+            if broken is None:
+                return _explained(mesh, attempt.mesh, outcome, whys, slides and share == 0.0), ""
+            whys.append(broken.why)
+            following, falls = remedy(
+                mesh, attempt, outcome, broken, options, slides=share > 0.0)
+        attempt = following or attempt
         if falls:
-            wanted = _nearer(mesh, wanted, np.zeros(len(mesh.cells), dtype=np.bool_)) or wanted
+            halfway = nearer(mesh, attempt.sizes, np.zeros(len(mesh.cells), dtype=np.bool_))
+            attempt = attempt._replace(sizes=halfway or attempt.sizes)
     return None, whys[-1]
-
-
-def _fallen(mesh: SimplexMesh, outcome: Outcome, options: Options, *, few: bool) -> bool:
-    """Whether figures to be kept are worse than those of the input, and not good enough.
-
-    Those of the worst cells do not count where these are few, near which the input may stay.
-    """
-    fallen = set(seen_figures(outcome).worse_than(
-        allowed_figures(mesh, options), tuple(options.keep)))
-    return bool(fallen - EXTREMES if few else fallen)
-
-
-def _nearer(mesh: SimplexMesh, sizes: Sizes, spoiled: BoolArray) -> Sizes | None:
-    """Sizes nearer to those of the input where cells are spoiled, else everywhere; None where they
-    are no longer than these, or would make too many cells.
-    """
-    own = local_sizes(mesh)
-    longer = sizes.values > CLOSE * own
-    if spoiled.any():
-        there = np.zeros(len(own), dtype=np.bool_)
-        there[mesh.cells[spoiled]] = True
-        longer &= there
-        most = np.where(longer, own, np.inf)
-    else:
-        most = np.where(longer, np.sqrt(own * sizes.values), np.inf)
-    if not longer.any():
-        return None
-    found = sizes.below(mesh, most)
-    return found if expected_cells(mesh, found.values) <= _most(mesh, sizes) else None
-
-
-def _most(mesh: SimplexMesh, sizes: Sizes) -> float:
-    """Cells, about, beyond which sizes do not give way."""
-    return MOST_GIVEN_WAY * max(sizes.cells, len(mesh.cells))
 
 
 def _crowded(mesh: SimplexMesh, sizes: Sizes) -> float:
@@ -335,19 +250,19 @@ def _explained(
 
 
 def _once(
-    mesh: SimplexMesh, sizes: Sizes, asked: FloatArray, options: Options, leaving: Leaving,
-    shares: FloatArray, room: Room, *, relents: bool,
-) -> tuple[Outcome, list[str]]:
-    """Resize within parts (n,) of the envelope, optimise within the rest, and judge."""
-    share = float(shares.max())
+    attempt: Attempt, asked: FloatArray, options: Options, leaving: Leaving, share: float,
+    room: Room,
+) -> tuple[Outcome, Broken | None]:
+    """Resize within a share of the envelope, optimise within the rest, and judge."""
+    mesh = attempt.mesh
     report = options.progress or silent
     clock = time.perf_counter()
     try:
         given, log = _resized(
-            mesh, sizes, asked, options, shares, partial(part(report, 0.0, 0.4), "resizing"),
-            relents=relents)
+            attempt, asked, options, share, partial(part(report, 0.0, 0.4), "resizing"))
     except InvalidMeshError:
-        return unchanged(mesh, CUT), ["cells overlap where the surface folded over itself"]
+        why = "cells overlap where the surface folded over itself"
+        return unchanged(mesh, why), Broken(why)
     resized, envelope = given.outcome, envelope_length(mesh, options)
     onto = mesh.smooth if share > 0.0 else None
     left = envelope
@@ -355,8 +270,7 @@ def _once(
         far = furthest(mesh, resized, envelope - mesh.sag)
         left = envelope - max(far[0], far[1]) - mesh.sag
         if not left > 0.0:
-            return resized, [f"the resized surface is {max(far):.3g} from the input's, "
-                             f"{BEYOND} {envelope:.3g}"]
+            return resized, too_far(f"the resized surface is {max(far):.3g}", envelope)
     times = {"resizing": time.perf_counter() - clock}
     inner = replace(
         options, boundary="slide" if share > 0.0 else "fixed",
@@ -379,13 +293,14 @@ def _once(
     outcome = replace(outcome, times=sums(times, outcome.times),
                       counts=sums(log.counts, outcome.counts))
     if not told:
-        return outcome, ["labels of the surface cannot be told apart"]
+        return outcome, Broken("labels of the surface cannot be told apart")
     origin: Any = outcome.origin
-    broken = broken_by_remeshing(
+    others = broken_by_remeshing(
         mesh, outcome.points, outcome.cells, outcome.regions, origin, tuple(options.keep),
         outcome.metric, outcome.faces, slides=share > 0.0, threads=options.threads)
-    if broken:
-        return outcome, broken
+    if others:
+        return outcome, Broken(others[0])
+    broken = None
     if share > 0.0:
         broken, slid = beyond(mesh, outcome, envelope)
         outcome = replace(outcome, slid=slid)
@@ -394,10 +309,10 @@ def _once(
 
 
 def _resized(
-    mesh: SimplexMesh, sizes: Sizes, asked: FloatArray, options: Options,
-    shares: FloatArray, tick: Any, *, relents: bool,
+    attempt: Attempt, asked: FloatArray, options: Options, share: float, tick: Any
 ) -> tuple[Resized, Log]:
     """The mesh with edges as long as they should be, and counts."""
+    mesh, sizes = attempt.mesh, attempt.sizes
     start = make_start(mesh)
     frame = start.frame
     # lengths in a metric have no unit
@@ -406,17 +321,18 @@ def _resized(
     threads = worth(options.threads, max(len(mesh.cells), int(sizes.cells)))
     with thread_pool(threads) as pool:
         field = make_density(NodalDensity(values, 1.0), None, start.seen, start.cells, None)
-        reach = shares[frame.vertices] * (envelope_length(mesh, options) - mesh.sag) * frame.scale
+        length = share * (envelope_length(mesh, options) - mesh.sag) * frame.scale
         for coarse in (False, True):
             body, guard, scratch, names = lay_out(
-                start, holds(mesh)[frame.vertices], reach, options.feature_angle,
+                start, holds(mesh)[frame.vertices], length * attempt.parts[frame.vertices],
+                options.feature_angle,
                 extremes(allowed_figures(mesh, options), tuple(options.keep)).cells)
             were = [frame.vertices[s.rows[s.live()]] for s in (body.segments, body.triangles)]
             log = Log()
             work = Resizing(body, guard, scratch, field, field.walk_start(len(start.points)), log,
                             LONGER * local_sizes(mesh)[frame.vertices] * unit, sizes.growth,
-                            relents, _most(mesh, sizes), _crowded(mesh, sizes))
-            if resize(work, bool(shares.any()), pool, tick, threads, coarse=coarse):
+                            attempt.relents, most_given_way(mesh, sizes), _crowded(mesh, sizes))
+            if resize(work, share > 0.0, pool, tick, threads, coarse=coarse):
                 break
         whole = make_density(NodalDensity(LONGER * asked[frame.vertices] * unit, 1.0), None,
                              start.points, start.cells, None)

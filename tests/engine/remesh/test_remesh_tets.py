@@ -18,6 +18,8 @@ import odt_plugins.engine.remesh.run as remesh_run
 import odt_plugins.engine.remesh.volume as remesh_volume
 from odt_plugins.engine.cells.measures import QUALITY
 from odt_plugins.engine.moves.passes import measures
+from odt_plugins.engine.remesh import remedies
+from odt_plugins.engine.remesh.distance import Broken
 from odt_plugins.engine.run.outcome import unchanged
 from odt_plugins.errors import InvalidOptionError
 
@@ -376,14 +378,14 @@ def test_a_small_region_of_another_volume_has_less_of_the_envelope_and_then_stay
     calls = []
     once = remesh_run._once
 
-    def refused(mesh, sizes, asked, options, leaving, shares, room, *, relents):
-        outcome, broken = once(mesh, sizes, asked, options, leaving, shares, room, relents=relents)
-        calls.append((mesh, shares.copy()))
-        return outcome, ["the volume of region 1 is another"] if len(calls) < 3 else broken
+    def refused(attempt, asked, options, leaving, share, room):
+        outcome, broken = once(attempt, asked, options, leaving, share, room)
+        calls.append((attempt.mesh, share * attempt.parts))
+        return outcome, Broken("the volume of region 1 is another") if len(calls) < 3 else broken
 
     monkeypatch.setattr(remesh_run, "_once", refused)
     monkeypatch.setattr(remesh_places, "other_sizes", lambda *_: [(1, 0.1, 0.2)])
-    monkeypatch.setattr(remesh_run, "_fallen", lambda *_args, **_named: False)
+    monkeypatch.setattr(remedies, "_fallen", lambda *_args, **_named: False)
     x, rows, labels = odt_plugins.remesh(
         (points, cells, small.astype(np.int32)), scale=0.8, envelope=0.02, keep=())
     first, second, third = calls[:3]

@@ -9,8 +9,8 @@ from tet_meshes import ball, signed_volumes
 
 import odt_plugins
 from odt_plugins.engine.remesh import places as places_module
-from odt_plugins.engine.remesh import run
-from odt_plugins.engine.remesh.distance import BEYOND, astray
+from odt_plugins.engine.remesh import remedies, run
+from odt_plugins.engine.remesh.distance import Broken, Kind, astray
 from odt_plugins.engine.run.outcome import unchanged
 from odt_plugins.mesh.simplex import simplex_mesh
 
@@ -19,15 +19,16 @@ def test_sizes_give_way_everywhere_before_less_of_the_envelope_is_tried(monkeypa
     tries = []
     real = run._once
 
-    def once(mesh, sizes, asked, options, leaving, shares, room, *, relents):
-        outcome, broken = real(mesh, sizes, asked, options, leaving, shares, room, relents=relents)
-        tries.append((float(shares.max()), sizes.values))
-        return outcome, ["p1_quality fell"] if tries[-1][0] == tries[0][0] else broken
+    def once(attempt, asked, options, leaving, share, room):
+        outcome, broken = real(attempt, asked, options, leaving, share, room)
+        tries.append((share, attempt.sizes.values))
+        return outcome, Broken("p1_quality fell") if tries[-1][0] == tries[0][0] else broken
 
     monkeypatch.setattr(run, "_once", once)
-    monkeypatch.setattr(run, "_fallen", lambda *_, **__: True)
+    monkeypatch.setattr(remedies, "_fallen", lambda *_, **__: True)
     points, cells = ball(800, 3)
-    monkeypatch.setattr(run, "spoiled_cells", lambda *_: np.arange(len(cells)) < len(cells) // 50)
+    few = np.arange(len(cells)) < len(cells) // 50
+    monkeypatch.setattr(remedies, "spoiled_cells", lambda *_: few)
     x, t = odt_plugins.remesh((points, cells), scale=1.8)
     (first, wanted), (last, smaller) = tries[0], tries[-1]
     assert first > last > 0.0
@@ -44,9 +45,9 @@ def test_less_of_the_envelope_is_used_where_the_surface_came_too_far_alone(monke
     moved = points.copy()
     moved[points[:, 0].argmax()] *= 1.3
 
-    def once(mesh, sizes, asked, options, leaving, shares, room, *, relents):
-        outcome, broken = real(mesh, sizes, asked, options, leaving, shares, room, relents=relents)
-        tries.append((shares, mesh.frozen.any(), broken))
+    def once(attempt, asked, options, leaving, share, room):
+        outcome, broken = real(attempt, asked, options, leaving, share, room)
+        tries.append((share * attempt.parts, attempt.mesh.frozen.any(), broken))
         return outcome, broken
 
     def far(mesh, outcome, envelope):
@@ -62,7 +63,7 @@ def test_less_of_the_envelope_is_used_where_the_surface_came_too_far_alone(monke
     monkeypatch.setattr(places_module, "astray", places)
     _, report = odt_plugins.remesh_with_report((points, cells), scale=1.2)
     (first, *_, broken), (second, held, _) = tries[:2]
-    assert BEYOND in broken[0]
+    assert broken.kind is Kind.BEYOND
     assert not held
     assert (first == first[0]).all()
     less = second < first
