@@ -9,7 +9,7 @@ from tet_meshes import dihedral_angles, oriented, signed_volumes
 
 import odt_plugins
 from odt_plugins.engine.remesh import run
-from odt_plugins.engine.remesh.sizes import STEEP, local_sizes, wanted_sizes
+from odt_plugins.engine.remesh.sizes import STEEP, factor_for, local_sizes, wanted_sizes
 from odt_plugins.engine.remesh.whole import beside_whole
 from odt_plugins.engine.remesh.wish import Wish
 from odt_plugins.engine.run.outcome import unchanged
@@ -91,3 +91,13 @@ def test_sizes_for_a_number_of_cells_that_cannot_come_are_not_ever_finer(monkeyp
     odt_plugins.remesh(boxes.box(3, 3), cells=5000)
     assert len(asked) == 2
     assert asked[1] == pytest.approx(asked[0] * 3 ** (-1 / 3))
+
+
+@pytest.mark.parametrize("stays", [0.0, 0.2, 0.4])
+def test_a_number_of_cells_is_met_in_few_tries_though_some_do_not_get_fewer(stays):
+    goal, counts, factor = 10_000, {}, 1.0
+    for _ in range(4):
+        counts[factor] = round(1.6 * goal * (stays + (1.0 - stays) * factor ** -3.0))
+        factor = factor_for(counts, goal, 3)
+    nearest = min(counts.values(), key=lambda count: abs(count - goal))
+    assert nearest == pytest.approx(goal, rel=0.01)
