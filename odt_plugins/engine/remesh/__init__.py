@@ -8,7 +8,8 @@ the vertices of patches and lines. Collapses and moves ask one guard, `fits`. Ro
 ODT with rho = h^-(d + 2) follow each other, and the run of ``engine.run`` finishes. Sizes are
 linear between vertices: `resolved` halves edges of the input first where they are not. Where cells
 or a boundary of the input stay, `beside_whole` lets sizes fall from their edges. `spoiled_cells`
-finds where of the input figures of a result fell, `gone_astray` where it left the envelope.
+finds where of the input figures of a result fell, `gone_astray` where it left the envelope, and
+`remedy` says what is tried then.
 
 References
 ----------
