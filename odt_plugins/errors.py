@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
+    from typing import Any
 
 
 INSIDE = (os.path.dirname(os.path.abspath(__file__)) + os.sep, contextlib.__file__)
@@ -144,6 +145,24 @@ def endless_walk(vertex: int) -> EndlessWalkError:
     )
     error.vertex = vertex
     return error
+
+
+def expect_unmasked(name: str, values: Any, error: type[ODTError] = InvalidOptionError) -> Any:
+    """Give values back that are no masked array, or one in which nothing is masked.
+
+    Raises
+    ------
+    InvalidOptionError    or another `error`: some of the values are masked
+    """
+    mask: Any = getattr(values, "mask", None)
+    if str(getattr(mask, "dtype", "")) == "bool" and mask.any():
+        bad = mask.nonzero()
+        first = bad[0][0] if len(bad) else 0
+        what = counted(len(bad[0]) if len(bad) else 1, "masked value")
+        msg = (f"{name} has {what} (first: at index {first}); expected none, try "
+               f"{name}.filled(...), or leave out what is masked")
+        raise error(msg)
+    return values
 
 
 def exit_name(code: int) -> str:

@@ -11,7 +11,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from odt_plugins.errors import InvalidOptionError, expect, is_number
+from odt_plugins.errors import InvalidOptionError, expect, expect_unmasked, is_number
 from odt_plugins.hints import meant
 from odt_plugins.objectives import AIMS, Objective
 
@@ -404,7 +404,7 @@ def make_options(odt: Mapping[str, Any] | None = None, /, **options: Any) -> Opt
         raise InvalidOptionError(msg)
     given = {**(odt or {}), **options}
     expect_known(given, OPTIONS, "options")
-    return Options(**{name: _plain(value) for name, value in given.items()})
+    return Options(**{name: expect_unmasked(name, _plain(value)) for name, value in given.items()})
 
 
 def expect_known(

@@ -238,7 +238,8 @@ class Report:
 
         Raises
         ------
-        InvalidOptionError               an array of another length, or of as many vertices as cells
+        InvalidOptionError               an array of another length, of as many vertices as cells,
+                                         or of which some values are masked
         UnsupportedMeshError             values at the points of cells of higher order; a report of
                                          several meshes, of which each of `parts` has this method
 
