@@ -11,11 +11,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters.host import HostMesh
+from odt_plugins.adapters.elevated import BentEdges
+from odt_plugins.adapters.host import Geometry, HostMesh
 from odt_plugins.errors import counted
 from odt_plugins.following import Prepared
-from odt_plugins.mesh.arrays import BoolArray, FloatArray, LongArray
+from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray, LongArray
 from odt_plugins.mesh.faces import Faces, labels_at
+from odt_plugins.mesh.facets import row_keys
 from odt_plugins.mesh.simplex import Smooth, diagonal
 from odt_plugins.options import Options
 
@@ -105,7 +107,7 @@ def in_space(work: Prepared, outcome: Outcome, moved: BoolArray, *, onto: bool) 
 
 def _pieces(work: Prepared, outcome: Outcome) -> LongArray:
     """Face or curve (n,) of the geometry on which every vertex is, -1 of none."""
-    geometry, mesh = work.host.geometry, work.mesh
+    geometry = work.host.geometry
     n = len(outcome.points)
     origin = np.arange(n) if outcome.origin is None else outcome.origin
     out = np.full(n, -1, dtype=np.int64)
@@ -116,7 +118,72 @@ def _pieces(work: Prepared, outcome: Outcome) -> LongArray:
     came = origin < 0
     if not came.any():
         return out
-    found = []
+    for rows, piece in _rows_on(work, outcome, geometry):
+        low, high = np.full(n, np.iinfo(np.int64).max), np.full(n, -1)
+        np.minimum.at(low, rows.ravel(), np.repeat(piece, rows.shape[1]))
+        np.maximum.at(high, rows.ravel(), np.repeat(piece, rows.shape[1]))
+        here = came & (low <= high)
+        out[here] = np.where(low == high, low, -1)[here]
+    return out
+
+
+def edges_onto(work: Prepared, outcome: Outcome, curved: BentEdges | None) -> BentEdges | None:
+    """Edges on faces and curves of the geometry, and places of their nodes there.
+
+    Parameters
+    ----------
+    work : Prepared               of the corners of quadratic cells
+    outcome : Outcome             its `faces` tell on which pieces of the geometry edges are
+    curved : BentEdges or None    edges whose nodes are near some places; others are near middles
+    """
+    geometry, n = work.host.geometry, len(outcome.points)
+    if geometry is None:
+        return curved
+    ends, on = _edges_on(work, outcome, geometry)
+    places = outcome.points[ends].mean(axis=1)
+    places = places if work.frame is None else work.frame.to_space(places)
+    if curved is not None:
+        known = row_keys(np.sort(curved.ends, axis=1), n)
+        order, key = np.argsort(known), row_keys(ends, n)
+        near = np.isin(key, known)
+        places[near] = curved.places[order[np.searchsorted(known[order], key[near])]]
+        rest = ~np.isin(known, key)
+        ends = np.concatenate([ends, np.sort(curved.ends[rest], axis=1)])
+        places = np.concatenate([places, curved.places[rest]])
+        on = np.concatenate([on, np.full(rest.sum(), -1)])
+    return BentEdges(ends, geometry.closest(on, places))
+
+
+def _edges_on(
+    work: Prepared, outcome: Outcome, geometry: Geometry
+) -> tuple[IntArray, LongArray]:
+    """Edges (k, 2) of lines and triangles of a geometry, and the one curve or face (k,) of each."""
+    pairs, of, line = [np.zeros((0, 2), np.int32)], [np.zeros(0, np.int64)], [np.zeros(0, bool)]
+    for rows, piece in _rows_on(work, outcome, geometry):
+        k = rows.shape[1]
+        for i in range(k if k > 2 else 1):
+            pairs.append(rows[:, [i, (i + 1) % k]])
+            of.append(piece)
+            line.append(np.full(len(rows), k == 2))
+    ends, number, lines = np.sort(np.concatenate(pairs), axis=1), np.concatenate(of), (
+        np.concatenate(line))
+    _, first, edge = np.unique(
+        row_keys(ends, len(outcome.points)), return_index=True, return_inverse=True)
+    is_line = np.zeros(len(first), dtype=np.bool_)
+    is_line[edge[lines]] = True
+    counts = lines | ~is_line[edge]
+    low, high = np.full(len(first), np.iinfo(np.int64).max), np.full(len(first), -1)
+    np.minimum.at(low, edge[counts], number[counts])
+    np.maximum.at(high, edge[counts], number[counts])
+    one = (low == high) & (low >= 0)
+    return ends[first[one]].astype(np.int32), low[one]
+
+
+def _rows_on(
+    work: Prepared, outcome: Outcome, geometry: Geometry
+) -> list[tuple[IntArray, LongArray]]:
+    """Triangles (q, 3), then lines (q, 2), each with the faces or curves (q,) that they are on."""
+    mesh, found = work.mesh, []
     if mesh.is_surface:
         regions, first = np.unique(mesh.regions, return_index=True)
         piece = geometry.cells[first][np.searchsorted(regions, outcome.regions)]
@@ -124,13 +191,7 @@ def _pieces(work: Prepared, outcome: Outcome) -> LongArray:
     for was, now in zip(mesh.faces[::-1], outcome.faces[::-1], strict=True):
         if len(now.rows):
             found.append((now.rows, _of_labels(was, work.host)[now.labels]))
-    for rows, piece in found:
-        low, high = np.full(n, np.iinfo(np.int64).max), np.full(n, -1)
-        np.minimum.at(low, rows.ravel(), np.repeat(piece, rows.shape[1]))
-        np.maximum.at(high, rows.ravel(), np.repeat(piece, rows.shape[1]))
-        here = came & (low <= high)
-        out[here] = np.where(low == high, low, -1)[here]
-    return out
+    return found
 
 
 def _of_labels(faces: Faces, host: HostMesh) -> LongArray:

@@ -61,7 +61,7 @@ from odt_plugins.mesh.surface import surface_mesh
 from odt_plugins.mesh.tangled import tangled_mesh
 from odt_plugins.metric.looks import ADVICE, MOST, looks_anisotropic
 from odt_plugins.metric.through import with_metric
-from odt_plugins.onto import in_space, near_geometry, on_geometry
+from odt_plugins.onto import edges_onto, in_space, near_geometry, on_geometry
 from odt_plugins.options import Options
 from odt_plugins.progress import kernels_shown, part, telling
 from odt_plugins.reference import within_reference
@@ -198,8 +198,9 @@ def run_engine(
         of_cells=data.of_cells, faces=faces,
     )
     if given.higher_order and not work.host.higher_order:
-        result, flatter = elevated(result, given, locating(work, given, options.threads),
-                                    bent and middles(bent, outcome, work.frame))
+        edges = bent and middles(bent, outcome, work.frame)
+        edges = edges_onto(work, outcome, edges) if moves else edges
+        result, flatter = elevated(result, given, locating(work, given, options.threads), edges)
         told["notes"] += note_on_flatter(flatter)
     out = work.adapter.write(result, given)
     if given.higher_order:

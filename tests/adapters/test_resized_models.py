@@ -387,3 +387,32 @@ def test_a_mesh_that_left_its_geometry_is_not_put_back_on_it():
     assert len(rows_of(out, 2)[0]) > len(rows_of(mesh, 2)[0])
     for old, new in zip(names_of(mesh)[1], names_of(out)[1], strict=True):
         assert new == pytest.approx(old, rel=0.01)
+
+
+def off_geometry(model):
+    """Largest distance of nodes, those between corners too, from where their parameters are."""
+    off = 0.0
+    for dim, tag in model.getEntities():
+        nodes, places, at = model.mesh.getNodes(dim, tag, returnParametricCoord=True)
+        if dim in (1, 2) and len(nodes):
+            off = max(off, float(np.abs(model.getValue(dim, tag, at) - places).max()))
+    return off
+
+
+@pytest.mark.parametrize("make", [plate, disc])
+@pytest.mark.parametrize("scale", [0.6, 1.3])
+def test_nodes_between_corners_are_on_the_geometry(make, scale):
+    import gmsh
+
+    with session():
+        make(gmsh.model)
+        gmsh.option.setNumber("Mesh.MeshSizeMax", 0.2)
+        gmsh.model.mesh.generate(3 if make is plate else 2)
+        gmsh.model.mesh.setOrder(2)
+        assert off_geometry(gmsh.model) < 1e-9
+        count = gmsh.model.mesh.getMaxNodeTag()
+        _, report = odt_plugins.remesh_with_report(gmsh.model, scale=scale)
+        assert gmsh.model.mesh.getMaxNodeTag() > count or scale > 1.0
+        flatter = any("flatter" in note for note in report.notes)
+        assert flatter or off_geometry(gmsh.model) < 1e-9
+        assert make is plate or not flatter
