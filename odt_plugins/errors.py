@@ -147,12 +147,12 @@ def endless_walk(vertex: int) -> EndlessWalkError:
     return error
 
 
-def expect_unmasked(name: str, values: Any, error: type[ODTError] = InvalidOptionError) -> Any:
-    """Give values back that are no masked array, or one in which nothing is masked.
+def plain_values(name: str, values: Any, error: type[ODTError] = InvalidOptionError) -> Any:
+    """Give a tensor of open3d or another library as an array of numpy, anything else as it is.
 
     Raises
     ------
-    InvalidOptionError    or another `error`: some of the values are masked
+    InvalidOptionError    or another `error`: some values of a masked array are masked
     """
     mask: Any = getattr(values, "mask", None)
     if str(getattr(mask, "dtype", "")) == "bool" and mask.any():
@@ -162,7 +162,9 @@ def expect_unmasked(name: str, values: Any, error: type[ODTError] = InvalidOptio
         msg = (f"{name} has {what} (first: at index {first}); expected none, try "
                f"{name}.filled(...), or leave out what is masked")
         raise error(msg)
-    return values
+    if not callable(getattr(values, "numpy", None)):
+        return values
+    return (values.cpu() if hasattr(values, "cpu") else values).numpy().copy()
 
 
 def exit_name(code: int) -> str:

@@ -9,9 +9,7 @@ from numbers import Integral
 from textwrap import wrap
 from typing import Any, Literal, get_args
 
-import numpy as np
-
-from odt_plugins.errors import InvalidOptionError, expect, expect_unmasked, is_number
+from odt_plugins.errors import InvalidOptionError, expect, is_number, plain_values
 from odt_plugins.hints import meant
 from odt_plugins.objectives import AIMS, Objective
 
@@ -404,7 +402,7 @@ def make_options(odt: Mapping[str, Any] | None = None, /, **options: Any) -> Opt
         raise InvalidOptionError(msg)
     given = {**(odt or {}), **options}
     expect_known(given, OPTIONS, "options")
-    return Options(**{name: expect_unmasked(name, _plain(value)) for name, value in given.items()})
+    return Options(**{name: plain_values(name, value) for name, value in given.items()})
 
 
 def expect_known(
@@ -429,10 +427,3 @@ def hint_for(unknown: str, known: Collection[str], stays: Collection[str] = STAY
     if name in known:
         return f", did you mean {name!r}?"
     return f", try {places[name]}" if name else ""
-
-
-def _plain(value: Any) -> Any:
-    """A tensor of open3d or another library as an array of numpy, anything else as it is."""
-    if isinstance(value, np.ndarray) or not callable(getattr(value, "numpy", None)):
-        return value
-    return np.array((value.cpu() if hasattr(value, "cpu") else value).numpy())

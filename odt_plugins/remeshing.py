@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 
-from odt_plugins.errors import InvalidOptionError, expect_unmasked
+from odt_plugins.errors import InvalidOptionError, plain_values
 from odt_plugins.keywords import OptionKeywords, with_option_signature
 from odt_plugins.mesh.bodies import of_bodies
 from odt_plugins.mesh.facets import directed_facets
@@ -178,7 +178,7 @@ def _wish(size: Any, wishes: dict[str, Any], *, metric: bool) -> Wish:
     from odt_plugins.metric.limits import GROWTH as OF_METRICS
 
     adapt, length = wishes.get("adapt"), None
-    expect_unmasked("size", size)
+    size = plain_values("size", size)
     names = [adapt or ""] if isinstance(adapt, str | None) else adapt
     if not isinstance(names, list | tuple) or not all(isinstance(name, str) for name in names):
         msg = (f"got adapt= of type {type(adapt).__name__}; expected names of point arrays, try "

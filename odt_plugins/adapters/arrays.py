@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from odt_plugins.adapters.host import HostMesh, Result
 from odt_plugins.adapters.regions import AUTO, region_labels
-from odt_plugins.errors import InvalidMeshError, expect_unmasked
+from odt_plugins.errors import InvalidMeshError, plain_values
 
 
 def matches(mesh: object) -> bool:
@@ -61,7 +61,7 @@ def _array(part: Any, name: str) -> NDArray[Any]:
     InvalidMeshError    the rows have different lengths, or hold other things than numbers, or some
                         of them are masked
     """
-    expect_unmasked(name, part, InvalidMeshError)
+    plain_values(name, part, InvalidMeshError)
     if isinstance(part, np.ndarray):
         return part
     try:

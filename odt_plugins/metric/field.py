@@ -16,7 +16,7 @@ from odt_plugins.engine.cells.elementary import power
 from odt_plugins.engine.cells.geometry import signed_volumes
 from odt_plugins.engine.cells.tensors import determinants, eigenvalues, intersection, of_eigenvalues
 from odt_plugins.engine.remesh.sizes import CONTENT
-from odt_plugins.errors import InvalidOptionError, expect, expect_unmasked, is_number
+from odt_plugins.errors import InvalidOptionError, expect, is_number, plain_values
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.numbers import real_numbers
 from odt_plugins.mesh.simplex import corner_mean, diagonal
@@ -295,7 +295,7 @@ def _values(host: HostMesh, given: Any) -> FloatArray:
             raise InvalidOptionError(msg)
         given = fields[given]
     raw = given(np.array(host.points, dtype=np.float64)) if callable(given) else given
-    expect_unmasked("values", raw)
+    raw = plain_values("values", raw)
     field = real_numbers(
         raw, "values of a field that are no real numbers", f"({n},) or ({n}, c)")
     if field.shape[:1] != (n,) or not field.size:

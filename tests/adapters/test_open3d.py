@@ -617,3 +617,18 @@ def test_all_toolkits_live_in_one_process_and_give_the_same(order):
                           check=False)
     assert done.returncode == 0, done.stderr[-800:]
     assert done.stdout.split()[-4:] == ["True", "False", "UnstructuredGrid", "32"]
+
+
+def test_tensors_are_fields_and_are_transferred():
+    import open3d
+
+    mesh = open3d.t.geometry.TriangleMesh.create_sphere(1.0, 10)
+    height = mesh.vertex.positions[:, 2:]
+    known = height.numpy()
+    np.testing.assert_array_equal(
+        odt_plugins.metric_from_field(mesh, height * height, 500),
+        odt_plugins.metric_from_field(mesh, known * known, 500))
+    better, report = odt_plugins.remesh_with_report(mesh, 0.4)
+    carried = report.transfer(height)
+    assert carried.dtype == known.dtype
+    np.testing.assert_allclose(carried, better.vertex.positions[:, 2:].numpy(), atol=1e-6)
