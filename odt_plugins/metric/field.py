@@ -116,7 +116,7 @@ def metric_from_field(
     with words_of(host):
         points, frame = flat_points(host)
         corners = np.ascontiguousarray(host.cells, dtype=np.int32)
-        fields = [_values(host, part) for part in _parts(values)]
+        fields = [_of_unit_range(_values(host, part), corners) for part in _parts(values)]
     along = tangents(points, corners) if points.shape[1] == corners.shape[1] else None
     limits = growth or GROWTH, ratio
     found = [hessians_to_metric(points, corners, recovered_hessians(points, corners, field, along),
@@ -268,6 +268,12 @@ def cells_of_metric(
     content = np.abs(signed_volumes(points, cells))
     dense = np.sqrt(determinants(metric if along is None else along.along(metric)))
     return float((content * corner_mean(dense, cells)).sum()) / CONTENT[cells.shape[1]]
+
+
+def _of_unit_range(field: FloatArray, cells: IntArray) -> FloatArray:
+    """A field times the power of two that brings its range near 1: units do not change metrics."""
+    spread = float(np.ptp(field[np.unique(cells)], axis=0).max())
+    return np.ldexp(field, -math.frexp(spread)[1]) if spread < math.inf else field
 
 
 def _least(points: FloatArray, cells: IntArray, field: FloatArray) -> float:
