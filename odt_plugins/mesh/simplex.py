@@ -480,6 +480,10 @@ def vertex_mask(value: ArrayLike | None, count: int, name: str, what: str) -> Bo
     mask = np.zeros(count, dtype=np.bool_)
     if value is None:
         return mask
+    if isinstance(value, str):
+        msg = (f"got {name}={value!r}; expected a boolean mask of the {what} ({count},) or a list "
+               f"of their indices, try the array of that name itself")
+        raise InvalidOptionError(msg)
     raw = np.asarray(value)
     if raw.dtype.kind == "b":
         if raw.shape != (count,):

@@ -364,11 +364,27 @@ def test_what_pyvista_can_make_cells_of_is_said():
                        (pyvista.PolyData(hexahedra.points), "mesh.delaunay_3d()"),
                        (pyvista.ImageData(dimensions=(3, 3, 3)),
                         "mesh.cast_to_unstructured_grid().triangulate()"),
+                       (pyvista.PartitionedDataSet([pyvista.Sphere()]),
+                        "pyvista.MultiBlock(list(mesh))"),
                        (pyvista.MultiBlock([hexahedra]), "mesh.combine().triangulate()")):
         with pytest.raises(odt_plugins.UnsupportedMeshError) as caught:
             odt_plugins.optimize(mesh)
         assert str(caught.value).endswith(call)
         odt_plugins.optimize(eval(call))
+
+
+def test_parts_of_a_collection_of_vtk_are_advised():
+    vtk = pytest.importorskip("vtkmodules.vtkCommonDataModel")
+    with pytest.raises(odt_plugins.UnsupportedMeshError, match=r"try mesh.GetPartition\(0, 0\)"):
+        odt_plugins.optimize(vtk.vtkPartitionedDataSetCollection())
+
+
+@pytest.mark.parametrize("name", ["fixed", "selection"])
+def test_the_name_of_an_array_is_no_mask(name):
+    points, cells, _ = contract.grid(2, 4)
+    with pytest.raises(odt_plugins.InvalidOptionError,
+                       match=rf"got {name}='rim'; .* try the array of that name"):
+        odt_plugins.remesh((points, cells), 0.2, **{name: "rim"})
 
 
 @pytest.mark.parametrize("regions", ["auto", "marker", "array"])
