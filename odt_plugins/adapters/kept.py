@@ -479,9 +479,10 @@ def _hold_periodic(
 
 
 def _between_labels(mesh: SimplexMesh) -> BoolArray:
-    """Vertices (n,) of cells of several labels."""
+    """Vertices (n,) of cells of several labels; facets inside of a body part no labels."""
+    label = mesh.bodies()
     least, most = np.full(len(mesh.points), np.iinfo(np.int64).max), np.full(len(mesh.points), -1)
     for corners in mesh.cells.T:
-        np.minimum.at(least, corners, mesh.regions)
-        np.maximum.at(most, corners, mesh.regions)
+        np.minimum.at(least, corners, label)
+        np.maximum.at(most, corners, label)
     return np.asarray(least < most)

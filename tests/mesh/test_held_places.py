@@ -182,6 +182,23 @@ def test_faces_of_one_label_correspond_by_chance_where_they_get_other_sizes(powe
     assert "opposite faces" not in str(report)
 
 
+def test_facets_inside_are_no_borders_of_labels_of_faces_that_correspond():
+    points, cells = regular(3, 4)
+    points = points**1.3
+    inside = ~np.isin(points, [0.0, 1.0]).any(axis=1)
+    facets = np.unique(np.sort(cells[:, list(combinations(range(4), 3))].reshape(-1, 3)), axis=0)
+    facets = facets[inside[facets].all(axis=1)]
+    baffle = facets[np.argsort(points[facets][..., 2].mean(axis=1))[:12]]
+    walls = uneven_facets(cells, len(points)).open
+    mesh = meshio.Mesh(points, [("tetra", cells), ("triangle", baffle)])
+    out, report = odt_plugins.remesh_with_report(mesh, scale=2)
+    assert "triangles beside the tetrahedra" in str(report)
+    assert "of periodic faces stay" not in str(report)
+    assert len(out.cells_dict["triangle"]) == len(baffle)
+    assert len(uneven_facets(out.cells_dict["tetra"].astype(np.int64), len(out.points)).open) < (
+        0.8 * len(walls))
+
+
 def test_faces_of_several_labels_that_correspond_stay_where_others_get_other_sizes():
     points, cells = regular(3, 4)
     points = points**1.3
