@@ -160,9 +160,10 @@ def in_flags(text: str) -> str:
 
     def flag(found: re.Match[str]) -> str:
         name = found[1].replace("_", "-")
-        value = ",".join(re.findall(r"[-+.\w]+", found[2]))
+        parts = re.findall(r"""'([^']*)'|"([^"]*)"|([-+.\w]+)""", found[2])
+        value = ",".join("".join(part) for part in parts)
         plain = {"True": f"--{name}", "False": f"--no-{name}", "None": f"--{name} none"}
-        return plain.get(value, f"--{name} {value or 'none'}")
+        return plain.get(value, f"--{name} {shlex.quote(value) if value else 'none'}")
 
     own = (name for name, about in OPTIONS.items() if about.metadata["flag"] is not None)
     names = "|".join(("size", *WISHES, *own))

@@ -596,6 +596,8 @@ print(gc.get_threshold()[0] == __main__.RARELY, gc.get_freeze_count() > 1000)
     ("try smoothing={'solver': ...}", "try --smoothing solver=..."),
     ("try keep=('min_quality', 'p1_quality')", "try --keep min_quality,p1_quality"),
     ("try keep=('min_quality',)", "try --keep min_quality"), ("keep=()", "--keep none"),
+    ("got size='h p'; x", "got --size 'h p'; x"), ("got metric='p/rho'", "got --metric p/rho"),
+    ("regions=('my part', 'b')", "--regions 'my part,b'"), ("size='0,2'", "--size 0,2"),
     ("regions=None", "--regions none"), ("envelope=0.002; q=3", "--envelope 0.002; q=3"),
     ("progress=True, my.keep=(1)", "progress=True, my.keep=(1)"),
 ])
