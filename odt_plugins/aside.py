@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.adapters.host import HostMesh
+from odt_plugins.adapters.regions import are_names
 from odt_plugins.errors import counted
 from odt_plugins.mesh.arrays import FloatArray
 from odt_plugins.mesh.bernstein import jacobian_bounds
@@ -84,13 +85,24 @@ def of_optimised(options: Options, host: HostMesh) -> Options:
         return options
     of_all: dict[str, Any] = {}
     for name in ("selection", "regions", "density"):
-        values = getattr(options, name)
-        if isinstance(values, np.ndarray) and values.shape == (host.total,) and (
+        values = _one_each(getattr(options, name), host.total)
+        if values is not None and not (name == "regions" and are_names(options.regions)) and (
             name == "regions" or (name == "selection" and values.dtype == np.bool_)
             or (name == "density" and host.total != len(host.points))
         ):
             of_all[name] = values[host.ids]
     return replace(options, **of_all)
+
+
+def _one_each(values: Any, count: int) -> NDArray[Any] | None:
+    """An array, or a list, of so many values as an array, anything else as None."""
+    try:
+        if isinstance(values, str) or len(values) != count:
+            return None
+        array = np.asarray(values)
+    except (TypeError, ValueError):
+        return None
+    return array if array.shape == (count,) else None
 
 
 def with_others(

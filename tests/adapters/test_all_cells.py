@@ -42,6 +42,20 @@ def test_values_of_all_cells_are_those_of_the_optimised_ones(kind):
         assert not np.array_equal(one.points, mesh.points), name
 
 
+def test_they_may_be_lists():
+    mesh, own, labels = beside("meshio")
+    size = np.where(labels == 7, 0.15, 0.3)
+    for call, name, values, other in (
+        (odt_plugins.optimize, "selection", labels == 7, True),
+        (odt_plugins.optimize, "regions", labels, 99),
+        (odt_plugins.remesh, "size", size, 1e-9),
+    ):
+        of_all = np.full(len(own), other, dtype=values.dtype)
+        of_all[own] = values
+        one, two = (call(mesh, **{name: given}) for given in (of_all, of_all.tolist()))
+        assert np.array_equal(one.points, two.points), name
+
+
 def test_other_lengths_are_refused_as_before():
     mesh, own, _ = beside("meshio")
     with pytest.raises(InvalidOptionError, match=r"mask of shape \(577,\); expected \(384,\)"):
