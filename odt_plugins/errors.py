@@ -137,6 +137,12 @@ def counted(count: int, noun: str, plural: str | None = None) -> str:
     return f"{count} {noun if count == 1 else plural or noun + 's'}"
 
 
+def change(first: float, last: float) -> str:
+    """Say from which number to which, with six digits or as many more as tell them apart."""
+    digits = next((k for k in range(6, 17) if f"{first:.{k}g}" != f"{last:.{k}g}"), 6)
+    return f"from {first:.{digits}g} to {last:.{digits}g}"
+
+
 def endless_walk(vertex: int) -> EndlessWalkError:
     """Make the error of a walk around a vertex that did not end."""
     error = EndlessWalkError(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from odt_plugins.errors import change
 from odt_plugins.figures import volumes
 from odt_plugins.mesh.facets import uneven_facets
 from odt_plugins.mesh.simplex import SimplexMesh
@@ -17,7 +18,7 @@ def broken_sizes(
 ) -> list[str]:
     """Say of which regions the area or volume changed by more than VOLUME of it."""
     size = "area" if before.dim == 2 else "volume"
-    return [f"the {size} of region {label} went from {first:.6g} to {last:.6g}"
+    return [f"the {size} of region {label} went {change(first, last)}"
             for label, first, last in other_sizes(before, points, cells, regions)]
 
 

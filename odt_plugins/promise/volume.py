@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from odt_plugins.errors import change
 from odt_plugins.figures import CellFigures, QualitySummary, cell_figures, summarize
 from odt_plugins.mesh.chunks import chunks, spread
 from odt_plugins.mesh.exact import exact_sign, whole_numbers
@@ -141,7 +142,7 @@ def worse_figures(
         else:
             worse, verb = not b >= a - slack, "fell"
         if worse:
-            sentences.append(f"{name} {verb} from {a:.6g} to {b:.6g}")
+            sentences.append(f"{name} {verb} {change(a, b)}")
     return sentences
 
 
@@ -338,7 +339,7 @@ def _volume_changed(
         a, b = old.sum(), new.sum()
         if abs(b - a) <= VOLUME * a:
             return []
-        return [f"the volume went from {a:.6g} to {b:.6g}"]
+        return [f"the volume went {change(a, b)}"]
     bad = np.flatnonzero(~(np.abs(new - old) <= 1e-13 * (size + other)))
     return [f"the {_size(before)} of region {labels[i]} went from {old[i]:.15g} to {new[i]:.15g}"
             for i in bad]

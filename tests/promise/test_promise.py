@@ -282,6 +282,15 @@ def test_the_slack_is_rounding_and_no_more() -> None:
     assert promise.worse_figures(old, replace(old, mean_quality=float("nan"))) != []
 
 
+def test_figures_that_hardly_differ_have_digits_enough_to_tell_them_apart() -> None:
+    old = replace(summarize(grid_mesh(2).points, grid_mesh(2).cells), min_angle=16.3979)
+    for angle, told in ((16.39, "16.39"), (16.3979 - 3e-7, "16.3978997"), (16.3979 - 2e-10, None)):
+        [said] = promise.worse_figures(old, replace(old, min_angle=angle), ["min_angle"])
+        first, last = said.removeprefix("min_angle fell from ").split(" to ")
+        assert float(first) > float(last)
+        assert told in (None, last)
+
+
 def test_facet_keys_beyond_64_bits(mesh: SimplexMesh, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(facets_module, "WORDS", 1000)
     assert sentences(mesh) == []
