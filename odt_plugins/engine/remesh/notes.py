@@ -7,8 +7,11 @@ import numpy as np
 from odt_plugins.engine.remesh.lay_out import surface_of
 from odt_plugins.engine.remesh.sizes import FINER, lengths_of, unique_edges
 from odt_plugins.engine.run.outcome import Outcome
+from odt_plugins.engine.surface.in_plane import in_space
+from odt_plugins.engine.surface.judge import values_on
 from odt_plugins.errors import counted
 from odt_plugins.mesh.arrays import FloatArray
+from odt_plugins.mesh.simplex import SimplexMesh
 
 IN = (0.5**0.5, 2.0**0.5)
 """Edges whose length is within these multiples of their size have it."""
@@ -42,3 +45,22 @@ def told_of_edges(outcome: Outcome, unit: float, multiple: FloatArray) -> tuple[
             f"{np.median(multiple[finer]):.2g} times in the middle and {multiple[most]:.2g} times "
             f"at most, near ({place}): the envelope, features or thin parts allow no longer edges",)
     return notes
+
+
+def told_of_triangles(base: SimplexMesh, asked: FloatArray, outcome: Outcome) -> tuple[str, ...]:
+    """How many edges of triangles are as long as asked for, and where they are furthest from it.
+
+    ``asked`` (n,) are the lengths at the vertices of the base.
+    """
+    edges = unique_edges(outcome.cells)
+    size = values_on(in_space(base.points), base.cells, asked, in_space(outcome.points))
+    ratio = lengths_of(outcome.points, edges, outcome.metric) / (0.5 * size[edges].sum(axis=1))
+    short, long = ratio < IN[0], ratio > IN[1]
+    note = (f"{(~short & ~long).mean():.1%} of the edges are {IN[0]:.2f} to {IN[1]:.2f} times as "
+            f"long as asked for, {ratio.mean():.2f} on average; {short.mean():.1%} are shorter and "
+            f"{long.mean():.1%} longer")
+    if (short | long).any():
+        far = edges[np.argmax(np.maximum(ratio, 1.0 / ratio))]
+        place = ", ".join(f"{x:.4g}" for x in outcome.points[far].mean(axis=0))
+        note += f", most of all near ({place})"
+    return (note,)

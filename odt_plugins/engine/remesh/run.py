@@ -19,7 +19,7 @@ from odt_plugins.engine.remesh.chords import sizes_as_wished
 from odt_plugins.engine.remesh.distance import Broken, beyond, furthest, too_far
 from odt_plugins.engine.remesh.finish import MORE, Resized, Room, finished, sums
 from odt_plugins.engine.remesh.lay_out import lay_out
-from odt_plugins.engine.remesh.notes import told_of_edges
+from odt_plugins.engine.remesh.notes import told_of_edges, told_of_triangles
 from odt_plugins.engine.remesh.onto import on_smooth
 from odt_plugins.engine.remesh.places import allowed_figures
 from odt_plugins.engine.remesh.remedies import (
@@ -84,7 +84,10 @@ def remesh(mesh: SimplexMesh, options: Options, leaving: Leaving, wish: Wish) ->
 
     def tries(sizes: Sizes, room: Room) -> Outcome:
         if mesh.dim == 2:
-            return _triangles(mesh, base, sizes, options, leaving)
+            found = _triangles(mesh, base, sizes, options, leaving)
+            asked = sizes.values if wish.curved else sizes.before_chords(base)
+            return found if found.origin is None else replace(
+                found, notes=told_of_triangles(base, asked, found) + found.notes)
         return _tetrahedra(mesh, base, sizes, options, leaving, room)
 
     outcome = tries(sizes, lambda _: MORE)

@@ -63,6 +63,12 @@ class Sizes:
         """Those of the first vertices."""
         return replace(self, values=self.values[:n], asked=self.asked[:n])
 
+    def before_chords(self, mesh: SimplexMesh) -> FloatArray:
+        """Lengths (n,) as they were asked for and grow as they may, wherever others are shorter."""
+        if len(mesh.metric):
+            return self.values
+        return grown(mesh.points, unique_edges(mesh.cells), self.asked, self.growth)
+
     def below(self, mesh: SimplexMesh, most: FloatArray) -> Sizes:
         """The largest sizes that are no longer than ``most`` (n,) and grow as they may."""
         values = np.minimum(self.values, most)

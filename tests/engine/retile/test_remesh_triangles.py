@@ -151,3 +151,16 @@ def test_a_small_round_region_leaves_the_rest_to_be_resized(radius, guarded, mon
         assert report.fallback is None
     else:
         assert "the area of region 1" in report.fallback
+
+
+@pytest.mark.parametrize("planar", [True, False])
+def test_the_report_of_triangles_says_how_many_edges_have_their_size(planar):
+    points, cells = shaken_square() if planar else sphere(3)
+    (new, rows), report = odt_plugins.remesh_with_report((points, cells), 0.25)
+    edges = np.unique(np.sort(np.concatenate(
+        [rows[:, [0, 1]], rows[:, [1, 2]], rows[:, [2, 0]]]), axis=1), axis=0)
+    length = np.linalg.norm(new[edges[:, 0]] - new[edges[:, 1]], axis=1) / 0.25
+    share = ((length > 0.5**0.5) & (length < 2**0.5)).mean()
+    [note] = [note for note in report.notes if "as long as asked for" in note]
+    assert note.startswith(f"{share:.1%} of the edges are 0.71 to 1.41 times as long")
+    assert f"{length.mean():.2f} on average" in note
