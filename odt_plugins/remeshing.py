@@ -69,7 +69,8 @@ def remesh(
                               moved, added and removed within `envelope`, corners stay; with
                               "fixed", and by default of parts that touch, all of these stay bit for
                               bit. Figures named in `keep` do not fall; unless some are named, good
-                              ones may fall as far as to good ones
+                              ones may fall as far as to good ones, and means and shares of
+                              triangles where only good triangles become fewer
 
     Returns
     -------

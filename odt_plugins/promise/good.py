@@ -46,16 +46,37 @@ def fallen_figures(
     return worse_figures(old, new, poor)
 
 
+def filled_up(
+    points: NDArray[np.float64], triangles: NDArray[np.int32], count: int
+) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Triangles with as many regular ones beside them as are missing from a count.
+
+    Figures of these are worse than those of as many other triangles only where more triangles, or
+    worse ones, are poor, and not where good ones are gone.
+    """
+    n, missing = len(points), max(count - len(triangles), 0)
+    regular = np.zeros((3, points.shape[1]))
+    regular[1:, :2] = [[1.0, 0.0], [0.5, 0.75**0.5]]
+    rows = np.broadcast_to(np.arange(n, n + 3, dtype=triangles.dtype), (missing, 3))
+    return np.concatenate([points, regular]), np.concatenate([triangles, rows])
+
+
 def fallen_since(
     before: SimplexMesh, points: NDArray[np.float64], cells: NDArray[np.int32],
     metric: NDArray[np.float64], keep: Sequence[str], figures: CellFigures | None = None,
+    full: int = 0,
 ) -> list[str]:
     """Say as :func:`fallen_figures` which figures of a remeshed mesh got worse, as metrics see it.
 
-    ``figures`` are those of the mesh without a metric, when they are at hand.
+    ``figures`` are those of the mesh without a metric, when they are at hand; triangles are
+    filled up to ``full``, see :func:`filled_up`.
     """
     if not keep:
         return []
     old = summarize(*as_seen(before.points, before.cells, before.metric))
-    new = summarize(*as_seen(points, cells, metric), None if len(metric) else figures)
+    seen = as_seen(points, cells, metric)
+    if full:
+        new = summarize(*filled_up(*seen, full))
+    else:
+        new = summarize(*seen, None if len(metric) else figures)
     return fallen_figures(old, new, keep, cells.shape[1])

@@ -44,6 +44,7 @@ from odt_plugins.mesh.numbering import new_numbers
 from odt_plugins.mesh.simplex import SimplexMesh, diagonal
 from odt_plugins.options import Options
 from odt_plugins.progress import part, silent
+from odt_plugins.promise.good import fallen_since, good_enough
 from odt_plugins.promise.remeshed import broken_by_remeshing
 
 SHARES = (0.7, 0.4)
@@ -52,6 +53,10 @@ holds; sliding has the rest."""
 
 ATTEMPTS = 4
 """Most times within one part; each holds the input around what those before spoiled."""
+
+HARDLY_COARSER = 0.7
+"""Part of the vertices of the input from which on good triangles may become fewer, as poor ones do
+not."""
 
 CROWDED = {2: 200, 3: 20}
 """Multiple of the cells that are expected, or of those of the input, from which on none are split,
@@ -137,7 +142,7 @@ def _triangles(
 ) -> Outcome:
     """Resize triangles, with more vertices where sizes need them if the promise holds so; where
     much of the input stays for its sake, also to sizes nearer to those of the input: the coarsest
-    result.
+    result. If much stays even then good triangles may become fewer, as poor ones do not.
     """
     wanted: Sizes | None = sizes
     best, why = unchanged(mesh, "no other sizes kept the promise"), None
@@ -145,7 +150,8 @@ def _triangles(
         outcome = retile(mesh, sizes.values, options, leaving, _crowded(mesh, sizes), base)
         if outcome.origin is not None:
             return outcome
-        wanted = sizes.first(len(mesh.points))
+        sizes = sizes.first(len(mesh.points))
+        wanted = sizes
     for _ in range(ATTEMPTS):
         if wanted is None:
             break
@@ -161,7 +167,27 @@ def _triangles(
         if outcome.fallback is None or _stays(mesh, outcome) <= MOST_HELD:
             break
         wanted = nearer(mesh, wanted, np.zeros(len(mesh.cells), dtype=np.bool_))
+    if _stays(mesh, best) > MOST_HELD or len(best.points) > HARDLY_COARSER * len(mesh.points):
+        found = _where_good_ones_go(mesh, sizes, options, leaving)
+        if found is not None and len(found.points) < len(best.points):
+            return found
     return best
+
+
+def _where_good_ones_go(
+    mesh: SimplexMesh, sizes: Sizes, options: Options, leaving: Leaving
+) -> Outcome | None:
+    """Resize triangles so that poor ones are no more, though a larger part; None if that fails."""
+    keep = tuple(options.keep)
+    if not good_enough(keep, 3):
+        return None
+    found = retile(mesh, sizes.values, options, leaving, _crowded(mesh, sizes), mesh,
+                   len(mesh.cells))
+    if found.origin is None:
+        return None
+    fallen = fallen_since(mesh, found.points, found.cells, found.metric, keep)
+    note = f"poor triangles are no more than in the input, and good ones fewer: {'; '.join(fallen)}"
+    return replace(found, notes=(note, *found.notes) if fallen else found.notes)
 
 
 def _stays(mesh: SimplexMesh, outcome: Outcome) -> float:

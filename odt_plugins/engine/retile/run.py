@@ -35,6 +35,7 @@ from odt_plugins.mesh.simplex import SimplexMesh, diagonal, freeze
 from odt_plugins.mesh.surface import Edges, surface_edges
 from odt_plugins.options import Options
 from odt_plugins.progress import silent
+from odt_plugins.promise.good import fallen_since, filled_up
 from odt_plugins.promise.region_sizes import other_sizes
 from odt_plugins.promise.retiled import broken_by_retiling, without_area
 from odt_plugins.promise.surface import FOLD, bad_places
@@ -69,7 +70,7 @@ class Judged(NamedTuple):
 
 def retile(
     mesh: SimplexMesh, sizes: FloatArray, options: Options, leaving: Leaving,
-    most: float = math.inf, base: SimplexMesh | None = None,
+    most: float = math.inf, base: SimplexMesh | None = None, full: int = 0,
 ) -> Outcome:
     """Give triangles in the plane or in space other sizes.
 
@@ -82,6 +83,8 @@ def retile(
     most : float             triangles from which on no edges are split, and none is resized anew
     base : SimplexMesh       the mesh with more vertices, behind its own, as it is to be resized: no
                              triangles of it stay, the input is returned instead
+    full : int               triangles to which they are filled up by good ones where figures are
+                             looked at, see ``promise.good.filled_up``
 
     Returns
     -------
@@ -118,7 +121,7 @@ def retile(
         faces = _lines_of(held, start, marks, net, origin), mesh.faces[1]
         origin = np.where(origin < len(mesh.points), origin, -1)
         outcome = leaving(replace(placed, origin=origin, faces=faces))
-        judged = _judged(mesh, outcome, origin, length, options)
+        judged = _judged(mesh, outcome, origin, length, options, full)
         if not judged.broken:
             return _told(outcome, origin, judged, before, clock)
         before = before or judged.broken
@@ -210,19 +213,23 @@ def _base(start: SurfaceStart, options: Options) -> Base:
 
 
 def _judged(
-    mesh: SimplexMesh, outcome: Outcome, origin: LongArray, length: float, options: Options
+    mesh: SimplexMesh, outcome: Outcome, origin: LongArray, length: float, options: Options,
+    full: int,
 ) -> Judged:
     """Hold a mesh against the promise."""
     points, cells = outcome.points, outcome.cells
     keep = tuple(options.keep)
     metric = outcome.metric
-    broken = broken_by_retiling(mesh, points, cells, outcome.regions, origin, keep, metric,
-                                outcome.faces[0])
+    broken = broken_by_retiling(mesh, points, cells, outcome.regions, origin,
+                                () if full else keep, metric, outcome.faces[0])
+    if full and not broken:
+        broken = fallen_since(mesh, points, cells, metric, keep, full=full)
     bad = np.zeros(len(points), dtype=np.bool_)
     if broken:
         bounds = relaxed(figures(*as_seen(mesh.points, mesh.cells, mesh.metric)), keep, 3)
         seen = as_seen(points, cells, metric)
-        bad[cells[spoiling(bounds, figures(*seen), cell_shapes(*seen), keep)]] = True
+        whole = filled_up(*seen, full) if full else seen
+        bad[cells[spoiling(bounds, figures(*whole), cell_shapes(*seen), keep)]] = True
         if mesh.is_surface:
             bad[cells[without_area(points, cells)]] = True
     x, y = in_space(mesh.points), in_space(points)
