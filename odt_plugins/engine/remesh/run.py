@@ -31,6 +31,7 @@ from odt_plugins.engine.remesh.remedies import (
 )
 from odt_plugins.engine.remesh.sizes import Sizes, factor_for, local_sizes
 from odt_plugins.engine.remesh.volume import Resizing, arrays_of, resize
+from odt_plugins.engine.remesh.weld import as_welded, welded
 from odt_plugins.engine.remesh.whole import holds
 from odt_plugins.engine.remesh.wish import Wish
 from odt_plugins.engine.retile.run import retile
@@ -81,6 +82,9 @@ def remesh(mesh: SimplexMesh, options: Options, leaving: Leaving, wish: Wish) ->
     -------
     Outcome               a mesh that keeps the promise as it leaves, at worst the input itself
     """
+    small = welded(mesh) if mesh.is_surface else None
+    if small is not None:
+        return as_welded(mesh, small, options, leaving, partial(remesh, wish=wish))
     base, sizes = sizes_as_wished(mesh, options, wish)
     options = replace(
         options, density="keep", smoothing=replace(options.smoothing, exponent=None), insert=False)
