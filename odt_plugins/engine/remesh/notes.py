@@ -60,7 +60,8 @@ def told_of_triangles(base: SimplexMesh, asked: FloatArray, outcome: Outcome) ->
             f"long as asked for, {ratio.mean():.2f} on average; {short.mean():.1%} are shorter and "
             f"{long.mean():.1%} longer")
     if (short | long).any():
-        far = edges[np.argmax(np.maximum(ratio, 1.0 / ratio))]
+        inverse = np.divide(1.0, ratio, out=np.full(len(ratio), np.inf), where=ratio > 0.0)
+        far = edges[np.argmax(np.maximum(ratio, inverse))]
         place = ", ".join(f"{x:.4g}" for x in outcome.points[far].mean(axis=0))
         note += f", most of all near ({place})"
     return (note,)

@@ -82,7 +82,8 @@ def remesh(mesh: SimplexMesh, options: Options, leaving: Leaving, wish: Wish) ->
     -------
     Outcome               a mesh that keeps the promise as it leaves, at worst the input itself
     """
-    small = welded(mesh) if mesh.is_surface else None
+    slides = mesh.is_surface and options.boundary == "slide"
+    small = welded(mesh) if slides else None
     if small is not None:
         return as_welded(mesh, small, options, leaving, partial(remesh, wish=wish))
     base, sizes = sizes_as_wished(mesh, options, wish)

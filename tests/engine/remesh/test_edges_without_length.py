@@ -97,3 +97,10 @@ def test_where_the_smaller_surface_stays_the_mesh_does(monkeypatch):
     assert np.array_equal(new, points)
     assert np.array_equal(rows, cells)
     assert report.stop_reason == "it must"
+
+
+def test_the_ends_stay_apart_where_feature_lines_are_fixed():
+    points, cells = drum([3])
+    new, _ = odt_plugins.remesh((points, cells), 2.0, envelope=1e-2, boundary="fixed")
+    for vertex in points[:50]:
+        assert (new == vertex).all(axis=1).sum() == (points == vertex).all(axis=1).sum()
