@@ -231,7 +231,8 @@ def _tetrahedra(
     if found is not None:
         return found
     outcome = leaving(unchanged(mesh, "no other sizes kept the promise"))
-    return replace(outcome, fallback=f"the input is returned, since {why}")
+    advice = "; try a metric that is stretched less" if len(mesh.metric) else ""
+    return replace(outcome, fallback=f"the input is returned, since {why}{advice}")
 
 
 def _tries(

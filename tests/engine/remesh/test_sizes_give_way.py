@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from tet_meshes import ball, signed_volumes
 
 import odt_plugins
@@ -26,7 +27,7 @@ def test_sizes_give_way_everywhere_before_less_of_the_envelope_is_tried(monkeypa
 
     monkeypatch.setattr(run, "_once", once)
     monkeypatch.setattr(remedies, "_fallen", lambda *_, **__: True)
-    points, cells = ball(800, 3)
+    points, cells = ball(400, 3)
     few = np.arange(len(cells)) < len(cells) // 50
     monkeypatch.setattr(remedies, "spoiled_cells", lambda *_: few)
     x, t = odt_plugins.remesh((points, cells), scale=1.8)
@@ -84,3 +85,16 @@ def test_what_is_astray_is_near_what_moved():
     assert len(places)
     assert np.linalg.norm(places - moved[top], axis=1).max() < 0.6
     assert not len(astray(mesh, replace(outcome, points=moved), 0.11))
+
+
+@pytest.mark.parametrize("metric", [None, np.diag([1.0, 1.0, 900.0])])
+def test_a_metric_that_cannot_be_followed_is_to_be_stretched_less(monkeypatch, metric):
+    points, cells = ball(60, 3)
+    monkeypatch.setattr(run, "_once", lambda attempt, *_: (
+        unchanged(attempt.mesh, ""), Broken("min_quality fell")))
+    tensors = {} if metric is None else {"metric": np.tile(metric, (len(points), 1, 1))}
+    (x, t), report = odt_plugins.remesh_with_report((points, cells), **(tensors or {"scale": 1.2}))
+    assert np.array_equal(x, points)
+    assert np.array_equal(t, cells)
+    assert "min_quality fell" in report.fallback
+    assert ("try a metric that is stretched less" in report.fallback) is (metric is not None)
