@@ -130,8 +130,9 @@ def run_engine(
                 options = replace(options, density=named_array(given, wanted.sizes))
             options = of_cells(of_optimised(options, given), work.own, len(given.cells))
             chosen = _of_mesh(_in_frame(options, work.frame), work.tangle)
-            metric, chosen = with_metric(work.mesh, chosen, work.host, work.frame, wanted.growth)
-            work = work._replace(mesh=metric)
+            metric, chosen, more = with_metric(
+                work.mesh, chosen, work.host, work.frame, wanted.growth)
+            work = work._replace(mesh=metric, notes=work.notes + more)
             chosen, left = within_reference(chosen, work.host)
             work = work._replace(notes=work.notes + left)
             if moves:

@@ -9,8 +9,15 @@ import numpy as np
 
 from odt_plugins.adapters.fields import named_metric
 from odt_plugins.adapters.host import HostMesh
-from odt_plugins.engine.cells.tensors import logarithm
-from odt_plugins.errors import TangledMeshError
+from odt_plugins.engine.cells.tensors import (
+    eigenvalues,
+    intersection,
+    logarithm,
+    of_eigenvalues,
+    positive_eigenvalues,
+)
+from odt_plugins.engine.run.judge import envelope_length
+from odt_plugins.errors import TangledMeshError, counted
 from odt_plugins.mesh.arrays import FloatArray
 from odt_plugins.mesh.plane import PlaneFrame
 from odt_plugins.mesh.simplex import SimplexMesh
@@ -18,12 +25,21 @@ from odt_plugins.metric.given import INPUT, metric_at_vertices
 from odt_plugins.metric.limits import grown_metric
 from odt_plugins.options import Options
 
+SHORTER = 1.1
+"""Multiple of the longest length that the envelope allows beyond which a metric asks for more."""
+
+LONGEST = 10.0
+"""Multiple of the longest length of a metric that a chord has where nothing is curved."""
+
 
 def with_metric(
     mesh: SimplexMesh, options: Options, host: HostMesh, frame: PlaneFrame | None,
     growth: float | None = None,
-) -> tuple[SimplexMesh, Options]:
+) -> tuple[SimplexMesh, Options, tuple[str, ...]]:
     """Let a mesh have its metric.
+
+    Where tetrahedra are resized and their boundary slides, no length along a surface is longer than
+    the envelope allows, unless the metric is that of the mesh itself.
 
     Parameters
     ----------
@@ -35,8 +51,8 @@ def with_metric(
 
     Returns
     -------
-    mesh, options           with the metric; without one, which takes the place of a
-                            density
+    mesh, options, notes    with the metric; without one, which takes the place of a
+                            density; what the report is to say
 
     Raises
     ------
@@ -45,17 +61,43 @@ def with_metric(
     """
     given = options.metric
     if given is None:
-        return mesh, options
+        return mesh, options, ()
     if len(host.points) != len(mesh.points):
         msg = "got metric= for a mesh with inverted cells; expected valid ones, try untangle first"
         raise TangledMeshError(msg)
     if isinstance(given, str) and given != INPUT:
         given = named_metric(host, given)
     metric = metric_at_vertices(mesh, given, frame)
+    notes: tuple[str, ...] = ()
     if growth is not None:
+        own = isinstance(given, str)
+        if mesh.dim == 3 and options.boundary == "slide" and not own:
+            metric, notes = _within_chords(mesh, metric, options)
         metric = grown_metric(mesh.points, mesh.cells, metric, growth)
     options = replace(options, metric=None, density="uniform")
-    return replace(mesh, metric=halved_logarithms(metric)), options
+    return replace(mesh, metric=halved_logarithms(metric)), options, notes
+
+
+def _within_chords(
+    mesh: SimplexMesh, metric: FloatArray, options: Options
+) -> tuple[FloatArray, tuple[str, ...]]:
+    """A metric (n, 3, 3) without lengths along surfaces beyond what the envelope allows."""
+    from odt_plugins.engine.remesh.chords import chord_metric
+
+    chords = chord_metric(mesh, envelope_length(mesh, options), options.feature_angle)
+    values, axes = eigenvalues(chords)
+    least = positive_eigenvalues(metric)[0].min(axis=1)
+    curved = np.flatnonzero(values.max(axis=1) > SHORTER**2 * least)
+    if not len(curved):
+        return metric, ()
+    floor = LONGEST**-2 * least[curved, None]
+    out = metric.copy()
+    out[curved] = intersection(
+        metric[curved], of_eigenvalues(np.maximum(values[curved], floor), axes[curved]))
+    return out, (
+        f"lengths along the surface may be shorter than the metric asks for at "
+        f"{counted(len(curved), 'vertex', 'vertices')} of the input: the envelope allows no longer "
+        "edges",)
 
 
 def halved_logarithms(metric: FloatArray) -> FloatArray:

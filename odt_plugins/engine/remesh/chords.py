@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from odt_plugins.engine.cells.tensors import eigenvalues, of_eigenvalues
 from odt_plugins.engine.ground.features import Features, find_features, label_borders, marked_edges
 from odt_plugins.engine.ground.sheet import LINE
 from odt_plugins.engine.remesh.lay_out import surface_of
@@ -14,10 +15,15 @@ from odt_plugins.engine.remesh.resolve import resolved
 from odt_plugins.engine.remesh.sizes import FINER, Sizes, check_count, local_sizes, wanted_sizes
 from odt_plugins.engine.remesh.wish import Wish
 from odt_plugins.engine.run.judge import envelope_length
-from odt_plugins.engine.surface.curvature import AVERAGES, vertex_curvature
+from odt_plugins.engine.surface.curvature import (
+    AVERAGES,
+    ENTRIES,
+    shape_operators,
+    vertex_curvature,
+)
 from odt_plugins.engine.topology.star import star_sum, vertex_stars
 from odt_plugins.errors import counted
-from odt_plugins.mesh.arrays import FloatArray
+from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.simplex import SimplexMesh, diagonal
 from odt_plugins.mesh.surface import disagreeing_edges, surface_edges
 from odt_plugins.options import Options
@@ -157,6 +163,44 @@ def chords(mesh: SimplexMesh, envelope: float, angle: float) -> FloatArray:
     which triangles of a sphere are as near to it as the chords of a cylinder. Triangles at edges
     where neighbours disagree about the outside, which stay, are left out.
     """
+    points, triangles, neighbors, features = _smooth_pieces(mesh, angle)
+    curvature = np.maximum(
+        vertex_curvature(points, triangles, neighbors), line_curvature(points, features))
+    sizes = np.full(len(points), np.inf)
+    curved = curvature > 0.0
+    sizes[curved] = np.sqrt(8.0 * PART * envelope / curvature[curved])
+    return sizes
+
+
+def chord_metric(mesh: SimplexMesh, envelope: float, angle: float) -> FloatArray:
+    """Metric (n, 3, 3) in which chords have length 1 that are as long as an envelope allows.
+
+    Parameters
+    ----------
+    mesh : SimplexMesh    of tetrahedra
+    envelope : float      length
+    angle : float         degrees by which a surface turns at a feature edge
+
+    Notes
+    -----
+    |S| / (8 PART envelope), S the shape operator of the boundary and of interfaces: kappa h^2 / 8
+    is the height of an arc over a chord of length h, see :func:`chords`, in every direction. Not
+    definite, and 0 where nothing is curved.
+    """
+    points, triangles, neighbors, _ = _smooth_pieces(mesh, angle)
+    entries, area = shape_operators(points, triangles, neighbors)
+    operator = np.zeros((len(points), 3, 3))
+    for entry, (j, k) in enumerate(ENTRIES):
+        operator[:, j, k] = operator[:, k, j] = np.divide(
+            entries[:, entry], area, out=np.zeros(len(points)), where=area > 0.0)
+    values, axes = eigenvalues(operator)
+    return of_eigenvalues(np.abs(values) / (8.0 * PART * envelope), axes)
+
+
+def _smooth_pieces(
+    mesh: SimplexMesh, angle: float
+) -> tuple[FloatArray, IntArray, IntArray, Features]:
+    """Points (n, 3), triangles of surfaces and their neighbours, -1 at features, and these."""
     n = len(mesh.points)
     points = np.ascontiguousarray(np.pad(mesh.points, ((0, 0), (0, 3 - mesh.points.shape[1]))))
     triangles, patch = mesh.cells, mesh.regions
@@ -174,13 +218,7 @@ def chords(mesh: SimplexMesh, envelope: float, angle: float) -> FloatArray:
         kept=label_borders(edges, patch) | marked_edges(
             edges, np.concatenate([mesh.stays, mesh.lines]), n))
     apart = features.edges[edges.of_cell]
-    curvature = np.maximum(
-        vertex_curvature(points, triangles, np.where(apart, -1, edges.neighbors)),
-        line_curvature(points, features))
-    sizes = np.full(n, np.inf)
-    curved = curvature > 0.0
-    sizes[curved] = np.sqrt(8.0 * PART * envelope / curvature[curved])
-    return sizes
+    return points, triangles, np.where(apart, -1, edges.neighbors), features
 
 
 def line_curvature(points: FloatArray, features: Features) -> FloatArray:

@@ -42,6 +42,25 @@ def vertex_curvature(points: FloatArray, triangles: IntArray, neighbors: IntArra
     Returns
     -------
     (n,) float64                [1 / length unit], 0 where nothing is known
+    """
+    tensor, share = shape_operators(points, triangles, neighbors)
+    square = (tensor[:, :3] ** 2).sum(axis=1) + 2.0 * (tensor[:, 3:] ** 2).sum(axis=1)
+    curvature: FloatArray = np.zeros(len(points))
+    np.divide(np.sqrt(square), share, out=curvature, where=share > 0.0)
+    return curvature
+
+
+def shape_operators(
+    points: FloatArray, triangles: IntArray, neighbors: IntArray
+) -> tuple[FloatArray, FloatArray]:
+    """Shape operators at the vertices of a surface, times areas.
+
+    Parameters as for :func:`vertex_curvature`.
+
+    Returns
+    -------
+    (n, 6) float64              the :data:`ENTRIES` of the shape operator times the area
+    (n,) float64                the area, 0 where nothing is known
 
     Notes
     -----
@@ -58,7 +77,7 @@ def vertex_curvature(points: FloatArray, triangles: IntArray, neighbors: IntArra
     """
     n = len(points)
     if not len(triangles):
-        return np.zeros(n)
+        return np.zeros((n, 6)), np.zeros(n)
     corners = points[triangles]
     area_vectors = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals = _unit(area_vectors)
@@ -89,10 +108,7 @@ def vertex_curvature(points: FloatArray, triangles: IntArray, neighbors: IntArra
     for _ in range(AVERAGES):
         tensor = star_sum(tensor[i] + tensor[j] + tensor[k], triangles, n)
         share = star_sum(share[i] + share[j] + share[k], triangles, n)
-    square = (tensor[:, :3] ** 2).sum(axis=1) + 2.0 * (tensor[:, 3:] ** 2).sum(axis=1)
-    curvature: FloatArray = np.zeros(n)
-    np.divide(np.sqrt(square), share, out=curvature, where=share > 0.0)
-    return curvature
+    return tensor, share
 
 
 def _unit(vectors: FloatArray) -> FloatArray:
