@@ -172,7 +172,9 @@ def _triangles(
         if outcome.fallback is None or _stays(mesh, outcome) <= MOST_HELD:
             break
         wanted = nearer(mesh, wanted, np.zeros(len(mesh.cells), dtype=np.bool_))
-    if _stays(mesh, best) > MOST_HELD or len(best.points) > HARDLY_COARSER * len(mesh.points):
+    if sizes.cells < len(mesh.cells) and (
+            _stays(mesh, best) > MOST_HELD
+            or len(best.points) > HARDLY_COARSER * len(mesh.points)):
         found = _where_good_ones_go(mesh, sizes, options, leaving)
         if found is not None and len(found.points) < len(best.points):
             return found
