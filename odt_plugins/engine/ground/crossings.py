@@ -208,7 +208,11 @@ def _sweep(
                 bound = max(FLAT * x * y * z, TINY)
                 for e in range(3):
                     here = _crosses(points, triangles, i, e, j, bound)
+                    if here == DOUBTFUL and _beside(points, triangles, boxes, i, e, j):
+                        here = 0
                     there = _crosses(points, triangles, j, e, i, bound)
+                    if there == DOUBTFUL and _beside(points, triangles, boxes, j, e, i):
+                        there = 0
                     if here == DOUBTFUL or there == DOUBTFUL:
                         found = 0
                         doubtful = not _apart(points, triangles, boxes, i, j)
@@ -277,30 +281,57 @@ def _apart(p: FloatArray, triangles: IntArray, boxes: Boxes, i: int, j: int) -> 
 
     Along the axis that is nearest to the normal of triangle i.
     """
+    axis = _steepest(p, triangles, i)
+    bound = _rounding(boxes, i, j, axis)
+    return _on_two_sides(p, triangles, i, j, 0, 3, axis, bound) or _on_two_sides(
+        p, triangles, j, i, 0, 3, axis, bound)
+
+
+@kernel
+def _beside(p: FloatArray, triangles: IntArray, boxes: Boxes, i: int, e: int, j: int) -> bool:
+    """Whether an edge of triangle j parts it from edge e of triangle i, seen along an axis.
+
+    Along the axis that is nearest to the normal of triangle j.
+    """
+    axis = _steepest(p, triangles, j)
+    return _on_two_sides(p, triangles, j, i, e, 2, axis, _rounding(boxes, i, j, axis))
+
+
+@kernel
+def _steepest(p: FloatArray, triangles: IntArray, i: int) -> int:
+    """The axis that is nearest to the normal of a triangle."""
     axis = 0
     largest = -1.0
     for x in range(3):
         size = abs(_area(p, triangles[i, 0], triangles[i, 1], triangles[i, 2], x))
         if size > largest:
             largest, axis = size, x
+    return axis
+
+
+@kernel
+def _rounding(boxes: Boxes, i: int, j: int, axis: int) -> float:
+    """Bound of the rounding error of areas of corners of two triangles, seen along an axis."""
     y, z = (axis + 1) % 3, (axis + 2) % 3
-    bound = max(FLAT * _extent(boxes, i, j, y) * _extent(boxes, i, j, z), TINY)
-    return _on_two_sides(p, triangles, i, j, axis, bound) or _on_two_sides(
-        p, triangles, j, i, axis, bound)
+    return max(FLAT * _extent(boxes, i, j, y) * _extent(boxes, i, j, z), TINY)
 
 
 @kernel
 def _on_two_sides(
-    p: FloatArray, triangles: IntArray, i: int, j: int, axis: int, bound: float
+    p: FloatArray, triangles: IntArray, i: int, j: int, first: int, many: int, axis: int,
+    bound: float,
 ) -> bool:
-    """Whether an edge of triangle i parts it from triangle j, seen along an axis."""
+    """Whether an edge of triangle i parts it from some corners of j, seen along an axis.
+
+    From the corners ``first``, ``first + 1``, ..., as ``many`` as are asked for.
+    """
     y, z = (axis + 1) % 3, (axis + 2) % 3
     for e in range(3):
         s, t, w = triangles[i, e], triangles[i, (e + 1) % 3], triangles[i, (e + 2) % 3]
         own = _area(p, s, t, w, axis)
         parts = abs(own) > bound
-        for m in range(3):
-            v = triangles[j, m]
+        for m in range(first, first + many):
+            v = triangles[j, m % 3]
             common = (p[v, y] == p[s, y] and p[v, z] == p[s, z]) or (
                 p[v, y] == p[t, y] and p[v, z] == p[t, z])
             side = _area(p, s, t, v, axis)

@@ -9,7 +9,7 @@ from odt_plugins.engine.ground.crossings import crossing_triangles
 from odt_plugins.engine.record.figures import Figures, cell_shapes, figures
 from odt_plugins.engine.record.relaxed import relaxed, spoiling
 from odt_plugins.engine.remesh.distance import astray
-from odt_plugins.engine.remesh.sizes import Sizes
+from odt_plugins.engine.remesh.sizes import Sizes, lengths_of
 from odt_plugins.engine.run.outcome import Outcome
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.mesh.seen import as_seen
@@ -19,6 +19,9 @@ from odt_plugins.promise.region_sizes import other_sizes
 
 REACH = 0.7
 """Largest distance, in sizes, for which a vertex of the input is near a place."""
+
+NEAREST = 16
+"""Places, the nearest ones to a vertex, whose distance in a metric is measured."""
 
 MOST_UNLIKE = 0.5
 """Least part of the whole for which regions whose volume is another are not small."""
@@ -81,11 +84,23 @@ def _corners(mesh: SimplexMesh | Outcome, rows: IntArray) -> FloatArray:
 
 def _near(mesh: SimplexMesh, places: FloatArray, sizes: Sizes) -> BoolArray:
     """Vertices (n,) of the input near places (k, 3)."""
-    from scipy.spatial import cKDTree
-
     near = np.zeros(len(mesh.points), dtype=np.bool_)
     if len(places):
         used = np.unique(mesh.cells)
-        far = cKDTree(places).query(mesh.points[used])[0]
-        near[used] = far <= REACH * sizes.values[used]
+        near[used] = _distances(mesh, used, places) <= REACH * sizes.values[used]
     return near
+
+
+def _distances(mesh: SimplexMesh, used: IntArray, places: FloatArray) -> FloatArray:
+    """Distances of vertices to the nearest of places (k, 3), in the metric of each vertex."""
+    from scipy.spatial import cKDTree
+
+    points = mesh.points[used]
+    if not len(mesh.metric):
+        return np.asarray(cKDTree(places).query(points)[0])
+    count = min(NEAREST, len(places))
+    _, which = cKDTree(places).query(points, [*range(1, count + 1)])
+    ends = np.stack([np.repeat(points, count, axis=0), places[which.ravel()]], axis=1)
+    pairs = np.arange(2 * which.size, dtype=np.int32).reshape(-1, 2)
+    metric = np.repeat(mesh.metric[used], 2 * count, axis=0)
+    return lengths_of(ends.reshape(-1, 3), pairs, metric).reshape(which.shape).min(axis=1)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from crossings import crossing_pairs, cut
@@ -98,3 +100,34 @@ def test_sheets_that_touch_or_lie_in_each_other_do_not_cross(tilted):
         t = t.astype(np.int32)
         assert not crossing_triangles(x, t).any()
         assert count_crossings(x, t) == 0
+
+
+def faces_with_an_edge_in_common(rng, tilt):
+    """Needles of two faces at right angles: corners along their common edge are of both or of one.
+
+    The cut along the edge is another on either side, as between bodies that touch.
+    """
+    points, cells = [], []
+    for side in (1, 2):
+        places = np.sort(np.append(rng.random(30), [0.0, 1.0]))
+        for a, b in pairwise(places):
+            tip = np.zeros(3)
+            tip[[0, side]] = rng.random(2)
+            cells.append(len(points) + np.arange(3))
+            points += [[a, 0, 0], [b, 0, 0], tip]
+    turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    points = np.array(points)
+    return points @ turn if tilt else points, np.array(cells, dtype=np.int32)
+
+
+@pytest.mark.parametrize("tilt", [False, True])
+def test_an_edge_in_the_plane_of_a_triangle_beside_it_needs_no_whole_numbers(tilt, monkeypatch):
+    points, cells = faces_with_an_edge_in_common(np.random.default_rng(3), tilt)
+    asked = []
+    monkeypatch.setattr("odt_plugins.engine.ground.crossings.whole_numbers",
+                        lambda corners: asked.append(corners) or whole_numbers(corners))
+    first = cells[:, 0] < 90
+    across = [(i, j) for i in np.flatnonzero(first) for j in np.flatnonzero(~first)]
+    for i, j in across:
+        assert count_crossings(points, cells[[i, j]]) == edge_counts(points, cells[[i, j]])
+    assert len(asked) < 0.1 * len(across)
