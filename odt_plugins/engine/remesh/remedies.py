@@ -54,17 +54,20 @@ class Attempt(NamedTuple):
     sizes : Sizes
     parts : (n,) float64    of what surfaces may use of the envelope
     relents : bool          whether sizes give way to those that the surface has reached
+    share : float           of the envelope within which surfaces are resized, 0 where they stay
+    why : str               what the attempt before broke of the promise, "" for the first
     """
 
     mesh: SimplexMesh
     sizes: Sizes
     parts: FloatArray
     relents: bool
+    share: float = 1.0
+    why: str = ""
 
 
 def remedy(
-    mesh: SimplexMesh, attempt: Attempt, outcome: Outcome, broken: Broken, options: Options, *,
-    slides: bool,
+    mesh: SimplexMesh, attempt: Attempt, outcome: Outcome, broken: Broken, options: Options,
 ) -> tuple[Attempt | None, bool]:
     """What to try next within the same share of the envelope, and whether figures fell.
 
@@ -75,7 +78,6 @@ def remedy(
     outcome : Outcome
     broken : Broken
     options : Options
-    slides : bool          whether the boundary slides
 
     Returns
     -------
@@ -84,6 +86,7 @@ def remedy(
                            and sizes that fall from there
     bool
     """
+    slides = attempt.share > 0.0
     far = np.zeros(len(mesh.points), dtype=np.bool_)
     if broken.kind is Kind.BEYOND:
         far = gone_astray(mesh, outcome, attempt.sizes, envelope_length(mesh, options) - mesh.sag)

@@ -92,20 +92,20 @@ def remesh(mesh: SimplexMesh, options: Options, leaving: Leaving, wish: Wish) ->
     if mesh.frozen.all() or not len(mesh.cells):
         return unchanged(mesh, "no cell may change")
 
-    def tries(sizes: Sizes, room: Room) -> Outcome:
+    def tries(sizes: Sizes, room: Room, known: Attempt | None) -> tuple[Outcome, Attempt | None]:
         if mesh.dim == 2:
             found = _triangles(mesh, base, sizes, options, leaving)
             asked = sizes.values if wish.curved else sizes.before_chords(base)
             return found if found.origin is None else replace(
-                found, notes=told_of_triangles(base, asked, found) + found.notes)
-        return _tetrahedra(mesh, base, sizes, options, leaving, room)
+                found, notes=told_of_triangles(base, asked, found) + found.notes), None
+        return _tetrahedra(mesh, base, sizes, options, leaving, room, known)
 
-    outcome = tries(sizes, lambda _: MORE)
+    outcome, known = tries(sizes, lambda _: MORE, None)
     goal = wish.cells if wish.vertices is None else wish.vertices
     if goal is not None:
         factor, counts = 1.0, {1.0: _count(outcome, wish)} if outcome.origin is not None else {}
         for _ in range(CORRECTIONS if counts else 0):
-            if _off(outcome, wish, goal) <= NEAR:
+            if _off(outcome, wish, goal) <= (ROUGHLY if known else NEAR):
                 break
             nearest = min(counts, key=lambda known: abs(counts[known] - goal))
             factor = (factor_for(counts, goal, mesh.dim) if factor in counts
@@ -113,8 +113,9 @@ def remesh(mesh: SimplexMesh, options: Options, leaving: Leaving, wish: Wish) ->
             factor = max(factor, FURTHEST ** (-1.0 / mesh.dim))
             if factor in counts:
                 break
-            other = tries(sizes.scaled(factor), lambda found: min(
-                MORE, goal / _count(found, wish) - 1.0))
+            other, last = tries(sizes.scaled(factor), lambda found: min(
+                MORE, goal / _count(found, wish) - 1.0), known)
+            known = known or last
             if other.origin is not None:
                 counts[factor] = _count(other, wish)
                 if _off(other, wish, goal) < _off(outcome, wish, goal):
@@ -130,6 +131,10 @@ def remesh(mesh: SimplexMesh, options: Options, leaving: Leaving, wish: Wish) ->
 NEAR, CORRECTIONS, FURTHEST = 0.03, 4, 3.0
 """Sizes are corrected while the number of cells or vertices is off by more than this part, at most
 so often, and to so many times the cells that are expected at first; the nearest result is taken."""
+
+ROUGHLY = 0.1
+"""Part by which that number may be off where the first result did not keep the promise: a result
+that is nearer to it often leaves more as it is."""
 
 
 def _count(outcome: Outcome, wish: Wish) -> int:
@@ -210,9 +215,12 @@ def _stays(mesh: SimplexMesh, outcome: Outcome) -> float:
 
 def _tetrahedra(
     mesh: SimplexMesh, base: SimplexMesh, sizes: Sizes, options: Options, leaving: Leaving,
-    room: Room,
-) -> Outcome:
-    """Resize tetrahedra, with more vertices where sizes need them if the promise holds so."""
+    room: Room, known: Attempt | None,
+) -> tuple[Outcome, Attempt | None]:
+    """Resize tetrahedra, with more vertices where sizes need them if the promise holds so.
+
+    Also what kept the promise with other remedies than the first, where it is to begin next time.
+    """
     n = len(mesh.points)
 
     def own(outcome: Outcome) -> Outcome:
@@ -220,52 +228,63 @@ def _tetrahedra(
         return replace(outcome, origin=np.where(origin < n, origin, -1))
 
     if base is not mesh:
-        found, _ = _tries(base, sizes, options, lambda outcome: leaving(own(outcome)), room)
-        if found is not None:
-            found = own(found)
-            origin: Any = found.origin
-            if not broken_by_remeshing(
-                    mesh, found.points, found.cells, found.regions, origin, tuple(options.keep),
-                    found.metric, found.faces, slides=True, threads=options.threads):
-                return found
+        if known is None or len(known.mesh.points) > n:
+            found, last = _tries(
+                base, sizes, options, lambda outcome: leaving(own(outcome)), room, known)
+            if found is not None:
+                found = own(found)
+                origin: Any = found.origin
+                if not broken_by_remeshing(
+                        mesh, found.points, found.cells, found.regions, origin,
+                        tuple(options.keep), found.metric, found.faces, slides=True,
+                        threads=options.threads):
+                    return found, last
+            known = None
         sizes = sizes.first(n)
-    found, why = _tries(mesh, sizes, options, leaving, room)
+    found, last = _tries(mesh, sizes, options, leaving, room, known)
     if found is not None:
-        return found
+        return found, last
     outcome = leaving(unchanged(mesh, "no other sizes kept the promise"))
     advice = "; try a metric that is stretched less" if len(mesh.metric) else ""
-    return replace(outcome, fallback=f"the input is returned, since {why}{advice}")
+    why = last.why if last else ""
+    return replace(outcome, fallback=f"the input is returned, since {why}{advice}"), None
 
 
 def _tries(
-    mesh: SimplexMesh, sizes: Sizes, options: Options, leaving: Leaving, room: Room
-) -> tuple[Outcome | None, str]:
-    """Resize until the promise holds; None and why where it does not.
+    mesh: SimplexMesh, sizes: Sizes, options: Options, leaving: Leaving, room: Room,
+    known: Attempt | None,
+) -> tuple[Outcome | None, Attempt | None]:
+    """Resize until the promise holds; None where it does not. Also the last attempt, if not first.
 
     Within each share of the envelope :func:`remedy` says what is tried next. Then sizes are halfway
     to those of the input where figures still fall, and the share is smaller; at last the boundary
-    stays.
+    stays. What kept the promise with sizes in proportion, if ``known``, comes first.
     """
-    whys: list[str] = []
     slides, falls = options.boundary == "slide", False
     attempt = Attempt(mesh, sizes, np.ones(len(mesh.points)), len(mesh.metric) > 0)
+    if known is not None:
+        attempt = known._replace(sizes=known.sizes.scaled(float(
+            sizes.asked[0] / known.sizes.asked[0])))
     for share in (*(SHARES if slides else ()), 0.0):
-        following: Attempt | None = attempt._replace(mesh=mesh)
+        if share > attempt.share:
+            continue
+        following: Attempt | None = attempt._replace(share=share)
         for _ in range(ATTEMPTS):
             if following is None:
                 break
             attempt = following
-            outcome, broken = _once(attempt, sizes.values, options, leaving, share, room)
+            outcome, broken = _once(attempt, sizes.values, options, leaving, room)
             if broken is None:
-                return _explained(mesh, attempt.mesh, outcome, whys, slides and share == 0.0), ""
-            whys.append(broken.why)
-            following, falls = remedy(
-                mesh, attempt, outcome, broken, options, slides=share > 0.0)
-        attempt = following or attempt
+                return (_explained(mesh, attempt, outcome, stays=slides and share == 0.0),
+                        attempt if attempt.why else None)
+            following, falls = remedy(mesh, attempt, outcome, broken, options)
+            attempt = attempt._replace(why=broken.why)
+            following = following and following._replace(why=broken.why)
+        attempt = (following or attempt)._replace(mesh=mesh)
         if falls:
             halfway = nearer(mesh, attempt.sizes, np.zeros(len(mesh.cells), dtype=np.bool_))
             attempt = attempt._replace(sizes=halfway or attempt.sizes)
-    return None, whys[-1]
+    return None, attempt
 
 
 def _crowded(mesh: SimplexMesh, sizes: Sizes) -> float:
@@ -273,30 +292,27 @@ def _crowded(mesh: SimplexMesh, sizes: Sizes) -> float:
     return CROWDED[mesh.dim] * max(sizes.cells, len(mesh.cells))
 
 
-def _explained(
-    mesh: SimplexMesh, held: SimplexMesh, outcome: Outcome, whys: list[str], stays: bool
-) -> Outcome:
+def _explained(mesh: SimplexMesh, attempt: Attempt, outcome: Outcome, *, stays: bool) -> Outcome:
     """An outcome that says what was left as it is, and why."""
-    count = int((held.frozen & ~mesh.frozen).sum())
+    count = int((attempt.mesh.frozen & ~mesh.frozen).sum())
     if count:
-        note = f"{counted(count, 'cell')} of the input stay as they are, since {whys[-1]}"
+        note = f"{counted(count, 'cell')} of the input stay as they are, since {attempt.why}"
         outcome = replace(outcome, notes=(*outcome.notes, note))
     if stays:
-        outcome = replace(outcome, fallback=f"the boundary is left as it is, since {whys[-1]}")
+        outcome = replace(outcome, fallback=f"the boundary is left as it is, since {attempt.why}")
     return outcome
 
 
 def _once(
-    attempt: Attempt, asked: FloatArray, options: Options, leaving: Leaving, share: float,
-    room: Room,
+    attempt: Attempt, asked: FloatArray, options: Options, leaving: Leaving, room: Room,
 ) -> tuple[Outcome, Broken | None]:
     """Resize within a share of the envelope, optimise within the rest, and judge."""
-    mesh = attempt.mesh
+    mesh, share = attempt.mesh, attempt.share
     report = options.progress or silent
     clock = time.perf_counter()
     try:
         given, log = _resized(
-            attempt, asked, options, share, partial(part(report, 0.0, 0.4), "resizing"))
+            attempt, asked, options, partial(part(report, 0.0, 0.4), "resizing"))
     except InvalidMeshError:
         why = "cells overlap where the surface folded over itself"
         return unchanged(mesh, why), Broken(why)
@@ -346,10 +362,10 @@ def _once(
 
 
 def _resized(
-    attempt: Attempt, asked: FloatArray, options: Options, share: float, tick: Any
+    attempt: Attempt, asked: FloatArray, options: Options, tick: Any
 ) -> tuple[Resized, Log]:
     """The mesh with edges as long as they should be, and counts."""
-    mesh, sizes = attempt.mesh, attempt.sizes
+    mesh, sizes, share = attempt.mesh, attempt.sizes, attempt.share
     start = make_start(mesh)
     frame = start.frame
     # lengths in a metric have no unit

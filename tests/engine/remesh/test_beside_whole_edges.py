@@ -83,9 +83,9 @@ def test_sizes_are_those_of_the_input_at_cells_that_stay_and_fall_from_there():
 def test_sizes_for_a_number_of_cells_that_cannot_come_are_not_ever_finer(monkeypatch):
     asked = []
 
-    def tetrahedra(mesh, base, sizes, options, leaving, room):
+    def tetrahedra(mesh, base, sizes, options, leaving, room, known):
         asked.append(sizes.values.max())
-        return replace(unchanged(mesh, ""), origin=np.arange(len(mesh.points)))
+        return replace(unchanged(mesh, ""), origin=np.arange(len(mesh.points))), known
 
     monkeypatch.setattr(run, "_tetrahedra", tetrahedra)
     odt_plugins.remesh(boxes.box(3, 3), cells=5000)

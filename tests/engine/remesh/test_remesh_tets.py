@@ -378,9 +378,9 @@ def test_a_small_region_of_another_volume_has_less_of_the_envelope_and_then_stay
     calls = []
     once = remesh_run._once
 
-    def refused(attempt, asked, options, leaving, share, room):
-        outcome, broken = once(attempt, asked, options, leaving, share, room)
-        calls.append((attempt.mesh, share * attempt.parts))
+    def refused(attempt, asked, options, leaving, room):
+        outcome, broken = once(attempt, asked, options, leaving, room)
+        calls.append((attempt.mesh, attempt.share * attempt.parts))
         return outcome, Broken("the volume of region 1 is another") if len(calls) < 3 else broken
 
     monkeypatch.setattr(remesh_run, "_once", refused)

@@ -161,7 +161,7 @@ def calls(monkeypatch):
 
     def noted(*how, **more):
         result = once(*how, **more)
-        found.append((how[4] * how[0].parts, result[1]))
+        found.append((how[0].share * how[0].parts, result[1]))
         return result
 
     monkeypatch.setattr(remesh_run, "_once", noted)
