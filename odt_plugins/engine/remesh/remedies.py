@@ -62,7 +62,7 @@ class Attempt(NamedTuple):
     sizes: Sizes
     parts: FloatArray
     relents: bool
-    share: float = 1.0
+    share: float = 0.0
     why: str = ""
 
 

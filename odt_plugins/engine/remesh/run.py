@@ -258,16 +258,16 @@ def _tries(
 
     Within each share of the envelope :func:`remedy` says what is tried next. Then sizes are halfway
     to those of the input where figures still fall, and the share is smaller; at last the boundary
-    stays. What kept the promise with sizes in proportion, if ``known``, comes first.
+    stays. What kept the promise with sizes in proportion, if ``known``, is begun with, and its
+    share is the only one.
     """
     slides, falls = options.boundary == "slide", False
     attempt = Attempt(mesh, sizes, np.ones(len(mesh.points)), len(mesh.metric) > 0)
+    shares = (*(SHARES if slides else ()), 0.0)
     if known is not None:
-        attempt = known._replace(sizes=known.sizes.scaled(float(
-            sizes.asked[0] / known.sizes.asked[0])))
-    for share in (*(SHARES if slides else ()), 0.0):
-        if share > attempt.share:
-            continue
+        factor = float(sizes.asked[0] / known.sizes.asked[0])
+        attempt, shares = known._replace(sizes=known.sizes.scaled(factor)), (known.share,)
+    for share in shares:
         following: Attempt | None = attempt._replace(share=share)
         for _ in range(ATTEMPTS):
             if following is None:
