@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters.fitting import group_names
+from odt_plugins.adapters.fitting import group_names, named_groups
 from odt_plugins.adapters.formats import gmsh_tables
 from odt_plugins.adapters.formats.decks import indices
 
@@ -41,13 +41,16 @@ def not_kept(mesh: Any, back: Any) -> list[str]:
     families = {name for names in getattr(back, "cell_tags", {}).values() for name in names}
     missing = groups - {*back.cell_sets, *back.field_data, *families}
     missing -= {name for name in back.point_sets if name not in mesh.point_sets}
+    named = _sets_as_groups(mesh, back)
     for kind in ("point_data", "cell_data", "field_data", "point_sets", "cell_sets"):
         old, new = getattr(mesh, kind), getattr(back, kind)
         what = kind.replace("_", " ")
         gone = set(old) - set(new) - set(gmsh_tables.BOOKKEEPING)
         if kind in ("field_data", "cell_sets"):
             gone -= groups
-        if set(mesh.cell_sets) <= {*back.cell_sets, *back.cell_data}:
+        if kind == "cell_sets":
+            gone -= named
+        if set(mesh.cell_sets) <= {*back.cell_sets, *back.cell_data, *named}:
             gone -= {*FAMILIES}
         if gmsh_tables.PHYSICAL in mesh.cell_data:
             gone -= {gmsh_tables.ENTITY}
@@ -56,9 +59,9 @@ def not_kept(mesh: Any, back: Any) -> list[str]:
             values = _by_type(mesh, old[name])
             others = {n: _by_type(back, new[n]) for n in sorted(
                 set(new) - set(old), key=lambda name: (name == gmsh_tables.ENTITY, name))}
-            if "cell_tags" in others:
-                # Families of cells have the negative numbers of their labels.
-                others["cell_tags"] = {k: -v for k, v in others["cell_tags"].items()}
+            # Families of cells have the negative numbers of their labels.
+            if FAMILIES[0] in (name, *others):
+                values, others = _unsigned(values), {n: _unsigned(others[n]) for n in others}
             ordered = _in_order(mesh, back, cells=kind == "cell_data")
             same = {n: _same(values, others[n], ordered=ordered) for n in others}
             other = next((n for n in others if same[n] == set(others[n])), None)
@@ -68,8 +71,8 @@ def not_kept(mesh: Any, back: Any) -> list[str]:
                 gone.discard(name)
                 renamed.append(f"the name of {what} {name!r} (there {best!r})")
             if kept and not other:
-                rest = " and ".join(sorted(set(values) - kept))
-                lost.append(f"{what} {name!r} of {rest}")
+                rest = sorted(key for key in set(values) - kept if values[key].any())
+                lost += [f"{what} {name!r} of {' and '.join(rest)}"] * bool(rest)
         lost += _others(mesh, back, kind, what)
         # The formats of VTK have arrays in place of sets.
         arrays = "_sets" in kind and gone <= set(getattr(back, kind.replace("_sets", "_data")))
@@ -81,6 +84,24 @@ def not_kept(mesh: Any, back: Any) -> list[str]:
     if missing:
         lost.append(f"the names of the groups {', '.join(map(repr, sorted(missing)))}")
     return lost + renamed
+
+
+def _sets_as_groups(mesh: Any, back: Any) -> set[str]:
+    """Cell sets that are named groups of as many cells in the file."""
+    groups = named_groups(back)
+    return {name for name, members in mesh.cell_sets.items() if name in groups
+            and _members(members) == _members(groups[name])}
+
+
+def _members(members: Any) -> int:
+    """Cells of a set."""
+    return sum(len(indices(rows)) for rows in members)
+
+
+def _unsigned(arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """Arrays whose whole numbers have no sign."""
+    return {key: np.abs(values) if values.dtype.kind == "i" else values
+            for key, values in arrays.items()}
 
 
 def _periodic(mesh: Any) -> bool:
@@ -96,7 +117,7 @@ def _others(mesh: Any, back: Any, kind: str, what: str) -> list[str]:
     ordered = _in_order(mesh, back, cells=kind == "cell_data")
     for name in sorted((set(old) & set(new)) - {*gmsh_tables.BOOKKEEPING, *FAMILIES}):
         if kind.endswith("_sets"):
-            sizes = [sum(len(indices(rows)) for rows in (part if kind == "cell_sets" else [part]))
+            sizes = [_members(part if kind == "cell_sets" else [part])
                      for part in (old[name], new[name])]
             if sizes[0] > sizes[1] or not (
                     sizes[0] == sizes[1] or _keys(mesh, back, kind, old[name]) < _keys(

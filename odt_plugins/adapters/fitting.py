@@ -15,6 +15,7 @@ from odt_plugins.adapters.gmsh_files import is_group
 from odt_plugins.adapters.higher_order import HIGHER, LAGRANGE, lattice, order_of
 from odt_plugins.adapters.host import POINT_LABELS
 from odt_plugins.adapters.regions import REGION_ARRAYS
+from odt_plugins.adapters.set_labels import POSITIVE, of_sets, positive
 from odt_plugins.errors import UnsupportedMeshError
 
 
@@ -173,7 +174,7 @@ def fitted(mesh: Any, name: str) -> tuple[Any, list[str]]:
     _reorder(out, form)
     if name in ("gmsh", "gmsh22"):
         return _with_tags(out, name), lost
-    named = _named_groups(out)
+    named = named_groups(out)
     out.gmsh_periodic = None
     for own in BOOKKEEPING if form is not EVERYTHING else BOOKKEEPING[1:]:
         out.point_data.pop(own, None)
@@ -189,6 +190,10 @@ def fitted(mesh: Any, name: str) -> tuple[Any, list[str]]:
     if not form.blocks:
         _merge(out)
     labels = _labels(out, form.label)
+    if form.label and not form.sets:
+        labels = of_sets(out, labels)
+    if name in POSITIVE:
+        labels = positive(out, labels)
     if not form.cells or (form.label and name not in LABELLED):
         out.cell_data = {}
     if form.label and labels is not None:
@@ -301,7 +306,7 @@ def _merge(mesh: Any) -> None:
 def _points_of(mesh: Any) -> dict[str, NDArray[np.int64]]:
     """Point sets of the named groups and the sets that have vertices as cells."""
     found = {}
-    for name, members in (_named_groups(mesh) | mesh.cell_sets).items():
+    for name, members in (named_groups(mesh) | mesh.cell_sets).items():
         nodes = [np.asarray(block.data)[indices(rows), 0] for block, rows in
                  zip(mesh.cells, members, strict=True) if block.type == "vertex"]
         if sum(map(len, nodes)):
@@ -309,7 +314,7 @@ def _points_of(mesh: Any) -> dict[str, NDArray[np.int64]]:
     return found
 
 
-def _named_groups(mesh: Any) -> dict[str, list[Any]]:
+def named_groups(mesh: Any) -> dict[str, list[Any]]:
     """Cell sets of the named groups of Gmsh and Netgen, as their labels tell them."""
     groups = mesh.cell_data.get(PHYSICAL, mesh.cell_data.get(NETGEN))
     if groups is None:
@@ -359,7 +364,7 @@ def _as_written(mesh: Any) -> None:
 
 def group_names(mesh: Any) -> set[str]:
     """Names of the physical groups of Gmsh that have cells."""
-    return {name for name, members in _named_groups(mesh).items() if any(map(len, members))}
+    return {name for name, members in named_groups(mesh).items() if any(map(len, members))}
 
 
 def _group(mesh: Any) -> None:

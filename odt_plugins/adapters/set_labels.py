@@ -1,0 +1,88 @@
+"""Labels out of sets of cells, and positive ones, for formats that hold no sets."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odt_plugins.adapters.formats.decks import indices
+
+SIDES = "exodus:side_set"
+"""Labels of cells at a boundary beside those of blocks, which are 0 there."""
+
+POSITIVE = ("nastran", "netgen")
+"""Formats whose tools take no labels but positive ones."""
+
+
+def of_sets(mesh: Any, labels: list[NDArray[Any]] | None) -> list[NDArray[Any]] | None:
+    """Labels whose cells without any in a dimension have those of side sets, or of their sets.
+
+    A set whose cells are all those of one label gives the label its name, as a group.
+
+    Parameters
+    ----------
+    mesh : meshio.Mesh      with one block a type; its field data get the names
+    labels : list of (m,)   of the blocks; None of none
+
+    Returns
+    -------
+    labels : list of (m,)   of a cell in several sets that of the first; None of none
+    """
+    sizes = [len(block.data) for block in mesh.cells]
+    out = [np.array(part) for part in labels or [np.zeros(size, dtype=np.int64) for size in sizes]]
+    sides = mesh.cell_data.get(SIDES, [np.zeros(size, dtype=np.int64) for size in sizes])
+    found = labels is not None
+    for dim in sorted({block.dim for block in mesh.cells}, reverse=True):
+        own = [i for i, block in enumerate(mesh.cells) if block.dim == dim]
+        label = np.concatenate([out[i] for i in own])
+        sets = {name: np.concatenate([_mask(members[i], sizes[i]) for i in own])
+                for name, members in mesh.cell_sets.items()}
+        if not label.any():
+            label = np.concatenate([np.asarray(sides[i]) for i in own])
+        if not label.any():
+            label = label.astype(np.int64)
+            highest = max((int(part.max(initial=0)) for part in out), default=0)
+            for inside in sets.values():
+                label[inside & (label == 0)] = max(highest, int(label.max(initial=0))) + 1
+        found = found or bool(label.any())
+        for name, inside in sets.items():
+            numbers = np.unique(label[inside])
+            if len(numbers) == 1 and numbers[0] and np.array_equal(label == numbers[0], inside):
+                mesh.field_data.setdefault(name, np.array([numbers[0], dim]))
+        for i, part in zip(own, np.split(label, np.cumsum([sizes[i] for i in own])[:-1]),
+                           strict=True):
+            out[i] = part
+    return out if found else None
+
+
+def positive(mesh: Any, labels: list[NDArray[Any]] | None) -> list[NDArray[Any]]:
+    """Labels in whose place, where these are not positive, free numbers stand: of -k that is k.
+
+    Parameters
+    ----------
+    mesh : meshio.Mesh      its field data get the numbers
+    labels : list of (m,)   of the blocks; None of none
+    """
+    out = [np.array(part, dtype=np.int64) for part in
+           labels or [np.zeros(len(block.data)) for block in mesh.cells]]
+    for dim in {block.dim for block in mesh.cells}:
+        own = [i for i, block in enumerate(mesh.cells) if block.dim == dim]
+        there = np.unique(np.concatenate([out[i] for i in own]))
+        used = {*there[there > 0].tolist()}
+        for old in reversed(there[there <= 0].tolist()):
+            new = -old if old and -old not in used else max(used, default=0) + 1
+            used.add(new)
+            for i in own:
+                out[i][out[i] == old] = new
+            mesh.field_data = {name: np.array([new, dim]) if list(value) == [old, dim] else value
+                               for name, value in mesh.field_data.items()}
+    return out
+
+
+def _mask(members: Any, size: int) -> NDArray[np.bool_]:
+    """Which of the cells of a block are members."""
+    inside = np.zeros(size, dtype=np.bool_)
+    inside[indices(members)] = True
+    return inside

@@ -1,0 +1,75 @@
+"""Labels out of sets, and positive ones, where a format has numbers alone for its cells."""
+
+from __future__ import annotations
+
+import warnings
+
+import boxes
+import meshio
+import numpy as np
+import pytest
+
+from odt_plugins.adapters.files import read_file, write_file
+
+
+def two_bodies(labels=None):
+    """Two bodies and a boundary of two sides, with sets and the labels that are given."""
+    points, cells = boxes.box(3, 2, plane=0.5)
+    faces = boxes.rim(cells)
+    left = points[cells].mean(axis=1)[:, 0] < 0.5
+    inlet = (points[faces][:, :, 0] == 0).all(axis=1)
+    none = np.zeros(0, dtype=np.int64)
+    sets = {"oil": [np.flatnonzero(left), none], "steel": [np.flatnonzero(~left), none],
+            "inlet": [none, np.flatnonzero(inlet)], "wall": [none, np.flatnonzero(~inlet)]}
+    data = {name: [np.where(left, *pair[0]), np.where(inlet, *pair[1])]
+            for name, pair in (labels or {}).items()}
+    return meshio.Mesh(points, [("tetra", cells), ("triangle", faces)], cell_data=data,
+                       cell_sets=sets), left, inlet
+
+
+@pytest.mark.parametrize("labels", [
+    None, {"cell_tags": [(-7, -8), (-9, -10)]},
+    {"exodus:block": [(7, 8), (0, 0)], "exodus:side_set": [(0, 0), (9, 10)]},
+    {"abaqus:elset": [(2, 1), (0, 0)]}])
+def test_sets_are_materials_and_conditions_of_netgen(labels, tmp_path):
+    """A file of sets, such as one of Salome, had negative numbers, which Netgen does not load."""
+    ng = pytest.importorskip("netgen.meshing")
+    mesh, left, inlet = two_bodies(labels)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore" if labels else "error")
+        write_file(tmp_path / "a.vol", mesh)
+    there = ng.Mesh()
+    there.Load(str(tmp_path / "a.vol"))
+    materials = [there.GetMaterial(e.index) for e in there.Elements3D()]
+    sides = [there.FaceDescriptor(e.index).bcname for e in there.Elements2D()]
+    assert [materials.count("oil"), materials.count("steel")] == [left.sum(), (~left).sum()]
+    assert [sides.count("inlet"), sides.count("wall")] == [inlet.sum(), (~inlet).sum()]
+
+
+@pytest.mark.parametrize("suffix", [".mesh", ".bdf", ".ele", ".b8.ugrid", ".su2"])
+def test_sets_of_the_boundary_are_its_labels(suffix, tmp_path):
+    mesh, _, inlet = two_bodies({"abaqus:elset": [(2, 1), (0, 0)]})
+    with pytest.warns(match="cell sets"):
+        write_file(tmp_path / f"a{suffix}", mesh)
+    back = read_file(tmp_path / f"a{suffix}")
+    (label,) = (np.concatenate([part for block, part in zip(back.cells, parts, strict=True)
+                                if block.type == "triangle"])
+                for name, parts in back.cell_data.items() if name != "nastran:part")
+    assert sorted(np.unique(label, return_counts=True)[1]) == sorted([inlet.sum(), (~inlet).sum()])
+    assert label.min() > 0
+
+
+@pytest.mark.parametrize("suffix", [".bdf", ".vol"])
+@pytest.mark.parametrize("pairs", [[(0, 1), (0, 3)], [(-1, 1), (-2, 5)], [(0, 0), (0, 0)]])
+def test_labels_that_are_not_positive_get_free_numbers(suffix, pairs, tmp_path):
+    """Nastran's property 0 was left out, so that meshio and Gmsh took a node for it."""
+    mesh, left, inlet = two_bodies({"medit:ref": pairs})
+    mesh.cell_sets = {}
+    with pytest.warns(match="medit:ref"):
+        write_file(tmp_path / f"a{suffix}", mesh)
+    back = meshio.read(tmp_path / f"a{suffix}")
+    for kind, mask, pair in (("tetra", left, pairs[0]), ("triangle", inlet, pairs[1])):
+        (found,) = (values[kind] for values in back.cell_data_dict.values())
+        assert found.min() > 0
+        assert len(np.unique(found[mask])) == len(np.unique(found[~mask])) == 1
+        assert (found[mask][0] == found[~mask][0]) == (pair[0] == pair[1])
