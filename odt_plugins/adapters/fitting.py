@@ -15,7 +15,7 @@ from odt_plugins.adapters.gmsh_files import is_group
 from odt_plugins.adapters.higher_order import HIGHER, LAGRANGE, lattice, order_of
 from odt_plugins.adapters.host import POINT_LABELS
 from odt_plugins.adapters.regions import REGION_ARRAYS
-from odt_plugins.adapters.set_labels import POSITIVE, of_sets, positive
+from odt_plugins.adapters.set_labels import LARGEST, of_sets, within
 from odt_plugins.errors import UnsupportedMeshError
 
 
@@ -192,8 +192,8 @@ def fitted(mesh: Any, name: str) -> tuple[Any, list[str]]:
     labels = _labels(out, form.label)
     if form.label and not form.sets:
         labels = of_sets(out, labels)
-    if name in POSITIVE:
-        labels = positive(out, labels)
+    if name in LARGEST:
+        labels = within(out, labels, LARGEST[name])
     if not form.cells or (form.label and name not in LABELLED):
         out.cell_data = {}
     if form.label and labels is not None:

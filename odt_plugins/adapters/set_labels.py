@@ -1,4 +1,4 @@
-"""Labels out of sets of cells, and positive ones, for formats that hold no sets."""
+"""Labels out of sets of cells, and those that a tool takes, for formats that hold no sets."""
 
 from __future__ import annotations
 
@@ -12,8 +12,11 @@ from odt_plugins.adapters.formats.decks import indices
 SIDES = "exodus:side_set"
 """Labels of cells at a boundary beside those of blocks, which are 0 there."""
 
-POSITIVE = ("nastran", "netgen")
-"""Formats whose tools take no labels but positive ones."""
+LARGEST = {"nastran": 2**31 - 1, "netgen": 99_999}
+"""Formats whose tools take no labels but those from 1 on, and up to which these are.
+
+Netgen has names and tables for all numbers up to the largest.
+"""
 
 
 def of_sets(mesh: Any, labels: list[NDArray[Any]] | None) -> list[NDArray[Any]] | None:
@@ -57,22 +60,24 @@ def of_sets(mesh: Any, labels: list[NDArray[Any]] | None) -> list[NDArray[Any]] 
     return out if found else None
 
 
-def positive(mesh: Any, labels: list[NDArray[Any]] | None) -> list[NDArray[Any]]:
-    """Labels in whose place, where these are not positive, free numbers stand: of -k that is k.
+def within(mesh: Any, labels: list[NDArray[Any]] | None, largest: int) -> list[NDArray[Any]]:
+    """Labels from 1 to the largest; free numbers stand in place of others: of -k that is k.
 
     Parameters
     ----------
     mesh : meshio.Mesh      its field data get the numbers
     labels : list of (m,)   of the blocks; None of none
+    largest : int
     """
     out = [np.array(part, dtype=np.int64) for part in
            labels or [np.zeros(len(block.data)) for block in mesh.cells]]
     for dim in {block.dim for block in mesh.cells}:
         own = [i for i, block in enumerate(mesh.cells) if block.dim == dim]
         there = np.unique(np.concatenate([out[i] for i in own]))
-        used = {*there[there > 0].tolist()}
-        for old in reversed(there[there <= 0].tolist()):
-            new = -old if old and -old not in used else max(used, default=0) + 1
+        good = (there > 0) & (there <= largest)
+        used = {*there[good].tolist()}
+        for old in reversed(there[~good].tolist()):
+            new = -old if 0 < -old <= largest and -old not in used else max(used, default=0) + 1
             used.add(new)
             for i in own:
                 out[i][out[i] == old] = new

@@ -73,3 +73,19 @@ def test_labels_that_are_not_positive_get_free_numbers(suffix, pairs, tmp_path):
         assert found.min() > 0
         assert len(np.unique(found[mask])) == len(np.unique(found[~mask])) == 1
         assert (found[mask][0] == found[~mask][0]) == (pair[0] == pair[1])
+
+
+def test_large_numbers_of_named_groups_are_small_ones_of_netgen(tmp_path):
+    """Names of all numbers up to the largest were written, which took the memory of the machine."""
+    ng = pytest.importorskip("netgen.meshing")
+    mesh, left, _ = two_bodies({"gmsh:physical": [(10 ** 6, 12), (3, 4)]})
+    mesh.cell_sets = {}
+    mesh.field_data = {"oil": np.array([10 ** 6, 3]), "steel": np.array([12, 3])}
+    with pytest.warns(match="gmsh:physical"):
+        write_file(tmp_path / "a.vol", mesh)
+    assert (tmp_path / "a.vol").stat().st_size < 10 ** 5
+    there = ng.Mesh()
+    there.Load(str(tmp_path / "a.vol"))
+    names = np.array([there.GetMaterial(e.index) for e in there.Elements3D()])
+    assert np.array_equal(names == "oil", left)
+    assert {*names} == {"oil", "steel"}
