@@ -162,9 +162,16 @@ def _moved_facets(
     facets, side = np.asarray(facets), np.asarray(sides).astype(np.int64)
     was = _outward(old, facets, side)[:, now.source]
     turned = (was * _outward(new, found, np.zeros_like(found))).sum(axis=0) < 0.0
-    own = labels[0][old.f2t[side, facets]][now.source]
+    behind, before = old.f2t[side, facets], old.f2t[1 - side, facets]
+    own, others = labels[0][behind], labels[0][before[before >= 0]]
     first, second = labels[1][new.f2t[:, found]]
-    turned = np.where((first != second) & ((first == own) | (second == own)), second == own, turned)
+    near = own[now.source]
+    turned = np.where((first != second) & ((first == near) | (second == near)), second == near,
+                      turned)
+    # Labels on one side of all of them tell the side where another subdomain parts that one.
+    score = (np.isin([second, first], np.setdiff1d(own, others)).astype(np.int64)
+             + np.isin([first, second], np.setdiff1d(others, own)))
+    turned = np.where(score[0] == score[1], turned, score[0] > score[1])
     turned &= new.f2t[1, found] >= 0
     return kind(found, turned.astype(np.asarray(sides).dtype))
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contract
 import numpy as np
 import pytest
+from scipy.spatial import Delaunay
 
 import odt_plugins
 from odt_plugins.errors import InvalidMeshError, InvalidOptionError, UnsupportedMeshError
@@ -162,5 +163,20 @@ def test_resized_boundaries_point_out_of_their_subdomain(n):
     out = odt_plugins.remesh(mesh, 0.12)
     found, wanted = out.boundaries["around"], out.facets_around("part")
     assert len(found) > len(mesh.boundaries["around"])
+    assert (dict(zip(found.tolist(), found.ori.tolist(), strict=True))
+            == dict(zip(wanted.tolist(), wanted.ori.tolist(), strict=True)))
+
+
+@pytest.mark.parametrize("seed", [5, 22, 37])
+def test_resized_boundaries_point_out_of_a_subdomain_that_another_one_parts(seed):
+    rng = np.random.default_rng(seed)
+    points = rng.random((80, 2))
+    points = np.concatenate([points, [[0, 0], [1, 0], [0, 1], [1, 1]]])
+    mesh = skfem.MeshTri(points.T.copy(), Delaunay(points).simplices.T.astype(np.int64))
+    inside = np.flatnonzero(points[mesh.t].mean(axis=0)[:, 0] < 0.5)
+    mesh = mesh.with_subdomains({"part": inside, "some": inside[::2]})
+    mesh = mesh.with_boundaries({"around": mesh.facets_around("part")})
+    out = odt_plugins.remesh(mesh, scale=1.4)
+    found, wanted = out.boundaries["around"], out.facets_around("part")
     assert (dict(zip(found.tolist(), found.ori.tolist(), strict=True))
             == dict(zip(wanted.tolist(), wanted.ori.tolist(), strict=True)))
