@@ -43,6 +43,9 @@ def write(path: Path, mesh: Any, binary: bool) -> None:
     of_nodes = parts.point_data.get(NODE_ENTITY)
     if of_nodes is None:
         of_nodes = _lowest(len(parts.points), blocks, of_cells)
+    parts.point_data[NODE_ENTITY] = of_nodes
+    number = _number_by_entity(parts)
+    of_nodes = parts.point_data[NODE_ENTITY]
     own = {key: k for k, key in enumerate(of_cells)}
     names = {name: value for name, value in mesh.field_data.items() if is_group(value)}
     groups = parts.cell_data.get(PHYSICAL)
@@ -79,13 +82,35 @@ def write(path: Path, mesh: Any, binary: bool) -> None:
         inner._write_nodes(file, parts.points, blocks, {NODE_ENTITY: of_nodes}, ".16e", binary)
         inner._write_elements(file, blocks, {ENTITY: tags}, binary)
         if mesh.gmsh_periodic is not None:
-            inner._write_periodic(file, mesh.gmsh_periodic, ".16e", binary)
+            links = [(*link, number[np.asarray(pairs, dtype=np.int64)])
+                     for *link, pairs in mesh.gmsh_periodic]
+            inner._write_periodic(file, links, ".16e", binary)
         for name, values in parts.point_data.items():
             if name != NODE_ENTITY:
                 common._write_data(file, "NodeData", name, values, binary)
         for name, arrays in parts.cell_data.items():
             if name not in (PHYSICAL, ENTITY):
                 common._write_data(file, "ElementData", name, np.concatenate(arrays), binary)
+
+
+def _number_by_entity(mesh: Any) -> NDArray[np.int64]:
+    """Put nodes in the order of their entities, in which they are written, and number them so.
+
+    meshio takes values at nodes in the order in which these stand in the file.
+
+    Returns
+    -------
+    number : (n,) int    of every node, now
+    """
+    entity = mesh.point_data[NODE_ENTITY]
+    order = np.lexsort((entity[:, 1], entity[:, 0]))
+    number = np.empty(len(order), dtype=np.int64)
+    number[order] = np.arange(len(order))
+    mesh.points = mesh.points[order]
+    mesh.point_data = {name: np.asarray(values)[order] for name, values in mesh.point_data.items()}
+    for block in mesh.cells:
+        block.data = number[block.data]
+    return number
 
 
 def _put(file: BinaryIO, binary: bool, values: Any, dtype: str) -> None:

@@ -316,3 +316,23 @@ def test_labels_of_cells_of_several_types_are_read_by_meshio_and_gmsh(tmp_path):
         gmsh.finalize()
     files.write_file(tmp_path / "c.msh", files.read_file(tmp_path / "a.mesh"), "gmsh22")
     assert (tmp_path / "c.msh").read_bytes().startswith(b"$MeshFormat\n2.2")
+
+
+@pytest.mark.parametrize("binary", [True, False])
+def test_values_at_nodes_written_anew_are_right_for_readers_that_go_by_the_order(binary, tmp_path):
+    """meshio gave them to other nodes, since those of one entity stand together in the file."""
+    points, cells, labels = contract.grid(3, 3)
+    sides = np.concatenate([np.delete(cells, k, axis=1) for k in range(4)])
+    sides = sides[(points[sides][:, :, 2] == points[:, 2].max()).all(axis=1)]
+    pairs = np.array([[len(points) - 1, 0], [len(points) - 2, 1]])
+    mesh = meshio.Mesh(points, [("tetra", cells), ("triangle", sides)],
+                       point_data={"height": points @ [1.0, 2.0, 3.0]},
+                       cell_data={"gmsh:physical": [labels + 1, np.full(len(sides), 9)],
+                                  "x": [points[c].mean(axis=1)[:, 0] for c in (cells, sides)]},
+                       gmsh_periodic=[[2, (1, 1), None, pairs]])
+    files.write_file(tmp_path / "a.msh", mesh, binary=binary)
+    told = meshio.read(tmp_path / "a.msh")
+    assert np.allclose(told.point_data["height"].ravel(), told.points @ [1.0, 2.0, 3.0])
+    for block, values in zip(told.cells, told.cell_data["x"], strict=True):
+        assert np.allclose(values.ravel(), told.points[block.data].mean(axis=1)[:, 0])
+    assert np.array_equal(told.points[told.gmsh_periodic[0][3]], points[pairs])

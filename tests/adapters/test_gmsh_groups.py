@@ -164,7 +164,7 @@ def test_a_format_without_the_cells_is_refused_by_their_type(suffix, tmp_path):
 def test_a_format_without_the_cells_is_refused_before_any_work(
         command, tmp_path, monkeypatch, capsys):
     write_file(tmp_path / "a.vtu", meshio.Mesh(POINTS, [("tetra", np.array([[0, 1, 2, 3]]))]))
-    monkeypatch.setattr("odt_plugins.roundtrip.run_engine", None)
+    monkeypatch.setattr("odt_plugins.remeshing.run_engine", None)
     monkeypatch.setattr("odt_plugins.api.run_engine", None)
     code = main([command[0], str(tmp_path / "a.vtu"), str(tmp_path / "a.stl"), *command[1:]])
     assert code == 1
