@@ -335,3 +335,15 @@ def test_cells_that_nothing_holds_are_named(word, said, tmp_path):
     with pytest.raises(MeshFileError, match=f"it has cells of type {said}.*; try a file without "
                        "these cells"):
         read_file(tmp_path / "a.e")
+
+
+def test_files_written_anew_are_read_by_meshio(tmp_path):
+    """Neither it nor the manual of Exodus knows TETRA4, PYRAMID5 and WEDGE6."""
+    points = np.random.default_rng(0).random((20, 3))
+    cells = [("tetra", np.array([[0, 1, 2, 3]])), ("pyramid", np.array([[4, 5, 6, 7, 8]])),
+             ("wedge", np.array([[9, 10, 11, 12, 13, 14]]))]
+    write_file(tmp_path / "a.e", meshio.Mesh(points, cells, {"x": points[:, 0]}))
+    back = meshio.read(tmp_path / "a.e")
+    assert [(block.type, block.data.tolist()) for block in back.cells] == [
+        (kind, rows.tolist()) for kind, rows in cells]
+    assert np.array_equal(back.point_data["x"].ravel(), points[:, 0])

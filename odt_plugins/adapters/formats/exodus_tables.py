@@ -28,8 +28,8 @@ FAMILIES = {"CIRCLE": "SPHERE", "POINT": "SPHERE", "NODE": "SPHERE", "BEAM": "BA
 
 WORDS = {"vertex": "SPHERE", "line": "BAR2", "line3": "BAR3", "triangle": "TRI3",
          "triangle6": "TRI6", "quad": "QUAD4", "quad8": "QUAD8", "quad9": "QUAD9",
-         "tetra": "TETRA4", "tetra10": "TETRA10", "pyramid": "PYRAMID5", "pyramid13": "PYRAMID13",
-         "wedge": "WEDGE6", "wedge15": "WEDGE15", "hexahedron": "HEX8", "hexahedron20": "HEX20"}
+         "tetra": "TETRA", "tetra10": "TETRA10", "pyramid": "PYRAMID", "pyramid13": "PYRAMID13",
+         "wedge": "WEDGE", "wedge15": "WEDGE15", "hexahedron": "HEX8", "hexahedron20": "HEX20"}
 """What the types of cells are called in files."""
 
 ORDER = {"hexahedron20": [*range(12), *range(16, 20), *range(12, 16)],
