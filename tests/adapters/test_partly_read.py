@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import boxes
 import contract
 import meshio
 import numpy as np
@@ -110,3 +111,14 @@ def test_sections_of_permas_are_named(suffix, tmp_path):
         "$END STRUCTURE", "$ELPROP\n! none\n$MATERIAL NAME=M\n$END STRUCTURE"))
     with pytest.warns(DataNotKeptWarning, match="the sections ELPROP, MATERIAL"):
         write_file(tmp_path / f"b{suffix}", read_file(tmp_path / f"a{suffix}"))
+
+
+def test_permas_of_second_order_is_read_with_its_corners_first(tmp_path):
+    """Its elements have corners and nodes of edges by turns, which meshio does not undo."""
+    points, cells = boxes.quadratic(*boxes.box(3, 2))
+    faces = np.array([[*cells[0, [0, 1, 2]], *cells[0, [4, 5, 6]]]])
+    write_file(tmp_path / "a.dato", meshio.Mesh(points, [("tetra10", cells), ("triangle6", faces)]))
+    back = read_file(tmp_path / "a.dato")
+    assert np.array_equal(back.cells_dict["tetra10"], cells)
+    assert np.array_equal(back.cells_dict["triangle6"], faces)
+    assert optimize(back).cells_dict["tetra10"].shape == cells.shape

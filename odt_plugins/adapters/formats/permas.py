@@ -7,17 +7,27 @@ import re
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from odt_plugins.adapters.formats.decks import unread
 
 KNOWN = {"ENTER", "STRUCTURE", "COOR", "ELEMENT", "END", "EXIT", "FIN"}
 """Sections that hold the mesh, or only others."""
 
+ORDER = {"triangle6": [0, 3, 1, 4, 2, 5], "tetra10": [0, 4, 1, 5, 2, 6, 7, 8, 9, 3],
+         "quad9": [0, 4, 1, 7, 8, 5, 3, 6, 2],
+         "wedge15": [0, 6, 1, 7, 2, 8, 9, 10, 11, 3, 12, 4, 13, 5, 14]}
+"""Nodes of elements of second order as they follow each other in files, corner by corner."""
+
 
 def completed(path: Path, mesh: Any) -> Any:
-    """A mesh that meshio read, with the names of the sections that are not in it."""
+    """A mesh that meshio read, its corners first, with the names of sections that are not in it."""
     data = path.read_bytes()
     data = gzip.decompress(data) if path.suffix == ".gz" else data
     names = {name.decode().upper() for name in re.findall(rb"(?m)^[ \t]*\$[ \t]*([A-Za-z]\w*)",
                                                           data)}
+    for block in mesh.cells:
+        if block.type in ORDER:
+            block.data = np.asarray(block.data)[:, np.argsort(ORDER[block.type])]
     mesh.info = unread("the sections", names - KNOWN)
     return mesh
