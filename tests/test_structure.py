@@ -102,7 +102,7 @@ TOOLKITS = {
              "compare/baselines/gmsh_optimize.py", "compare/baselines/gmsh_remesh.py"},
     "netCDF4": {"adapters/formats/exodus.py", "adapters/formats/exodus_copy.py",
                 "adapters/formats/exodus_write.py"},
-    "h5py": {"adapters/formats/hdf.py", "adapters/formats/med.py",
+    "h5py": {"adapters/formats/cgns_write.py", "adapters/formats/hdf.py", "adapters/formats/med.py",
              "adapters/formats/med_copy.py",
              "adapters/formats/xdmf_copy.py", "adapters/formats/xdmf_items.py"},
     "mfem": {"compare/baselines/mfem_tmop.py"},

@@ -57,7 +57,7 @@ FORMS = {
     "abaqus": Form(points=False, cells=False, blocks=True, sets=True, vertices=False,
                    bent=False),
     "avsucd": Form("avsucd:material", cells=False),
-    "cgns": Form(points=False, cells=False, beside=False),
+    "cgns": Form(points=False, cells=False, blocks=True, sets=True),
     "dolfin-xml": Form(points=False, beside=False, kinds="iuf", vectors=False),
     "exodus": Form("exodus:block", blocks=True, sets=True),
     "flac3d": Form(points=False, cells=False, sets=True, text=True, vertices=False, lines=False),
@@ -111,7 +111,7 @@ POLYGONS = ("triangle", "quad", "polygon")
 """What formats of surfaces hold."""
 
 HELD = {
-    "cgns": ("tetra",), "flac3d": ("tetra",), "tetgen": ("tetra", "tetra10"),
+    "flac3d": ("tetra",), "tetgen": ("tetra", "tetra10"),
     **dict.fromkeys(("avsucd", "dolfin-xml", "h5m", "medit", "su2", "tecplot", "ugrid"), SIMPLICES),
     **dict.fromkeys(("obj", "off", "ply", "stl"), POLYGONS),
     "vtp": (*POLYGONS, "line", "vertex"), "wkt": ("triangle",),

@@ -151,7 +151,7 @@ def test_points_and_lines_that_a_format_lacks_are_left_out_by_number(suffix, tmp
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".obj", ".stl", ".off", ".su2", ".mesh", ".avs", ".dat",
-                                    ".xml", ".h5m", ".ele", ".cgns", ".b8.ugrid"])
+                                    ".xml", ".h5m", ".ele", ".b8.ugrid"])
 def test_a_format_without_the_cells_is_refused_by_their_type(suffix, tmp_path):
     mesh = meshio.Mesh(POINTS, [("line3", np.array([[0, 1, 2]])),
                                 ("triangle6", np.array([[0, 1, 2, 3, 3, 3]]))])

@@ -48,7 +48,7 @@ def test_other_zones_and_elements_of_cgns_are_refused(what, tmp_path):
         if what == "zones":
             file["Base"].create_group("Zone2").create_group("GridCoordinates")
         else:
-            file["Base/Zone1/GridElements"][" data"] = [22, 0]
+            file["Base/Zone1/GridElements"][" data"][...] = [22, 0]
     said = {"zones": "it has 2 zones, expected one",
             "polygons": "it has elements of type number 22, expected some of 2, 3, "}[what]
     with pytest.raises(MeshFileError, match=said):
@@ -93,7 +93,7 @@ def test_elements_of_cgns_that_tell_their_types_are_read(tmp_path):
     cells = put(tmp_path / "a.cgns")
     with h5py.File(tmp_path / "a.cgns", "a") as file:
         section = file["Base/Zone1/GridElements"]
-        section[" data"] = [20, 0]
+        section[" data"][...] = [20, 0]
         del section["ElementConnectivity"][" data"]
         rows = np.c_[np.full(len(cells), 10), cells + 1].ravel()
         section["ElementConnectivity"][" data"] = np.r_[5, 1, 2, 3, rows]

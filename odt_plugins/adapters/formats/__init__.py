@@ -8,6 +8,7 @@ Sources
 -------
 Abaqus: Analysis User's Guide, Input syntax rules, Dassault Systemes; G. Dhondt, CalculiX
 CrunchiX User's Manual.
+CGNS: Standard Interface Data Structures, version 4, and its mapping to HDF5, cgns.org.
 Fluent: ANSYS Fluent user's guide, appendix on mesh files.
 DOLFIN: A. Logg, K.-A. Mardal, G. Wells, Automated Solution of Differential Equations by the Finite
 Element Method (2012), chapter on DOLFIN.
@@ -37,6 +38,7 @@ from odt_plugins.adapters.formats import (
     abaqus,
     abaqus_copy,
     abaqus_write,
+    cgns_write,
     dolfin,
     exodus,
     exodus_copy,
@@ -94,8 +96,8 @@ REWRITERS: dict[str, Callable[[Path, Path, Change], list[str]]] = {
 """Rewriters by the name of the format in meshio: source, target and change, to what is lost."""
 
 WRITERS: dict[str, Callable[[Path, Any, bool | None], list[str]]] = {
-    "abaqus": abaqus_write.write, "exodus": exodus_write.write, "flac3d": flac3d.write,
-    "med": med.write, "medit": medit.write, "nastran": nastran_write.write,
+    "abaqus": abaqus_write.write, "cgns": cgns_write.write, "exodus": exodus_write.write,
+    "flac3d": flac3d.write, "med": med.write, "medit": medit.write, "nastran": nastran_write.write,
     "netgen": vol.write, "obj": obj.write, "off": off.write, "ply": ply.write,
     "stl": stl.write, "tetgen": tetgen.write, "ugrid": ugrid.write,
 }

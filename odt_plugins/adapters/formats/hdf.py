@@ -16,6 +16,12 @@ TYPES = {2: ("vertex", 1), 3: ("line", 2), 4: ("line3", 3), 5: ("triangle", 3),
          12: ("pyramid", 5), 14: ("wedge", 6), 17: ("hexahedron", 8)}
 """Elements of CGNS by their numbers: their names in meshio, and how many nodes they have."""
 
+MAIN = "GridElements"
+"""Section of the cells of the greatest dimension that are in no set."""
+
+PLAIN = {MAIN, *(kind for kind, _ in TYPES.values())}
+"""Names of sections of cells that are in no set."""
+
 TETRA, MIXED = 10, 20
 """Numbers of linear tetrahedra, and of elements each of which tells its own type."""
 
@@ -55,7 +61,7 @@ def cgns(path: Path) -> Any:
         more = [name for name in bases[0] if name not in zones]
         more += [name for name in zone if name not in {*HELD, *parts}]
     sets: Any = {name: [np.arange(len(rows) * (own == name)) for own, _, rows in sections]
-                 for name in parts if len(parts) > 1}
+                 for name in parts if len(parts) > 1 and name not in PLAIN}
     mesh = Mesh(points, [(kind, rows) for _, kind, rows in sections], cell_sets=sets)
     # Names of HDF5's own bookkeeping start with a blank.
     mesh.info = unread("the nodes", [name for name in more if not name.startswith(" ")])
