@@ -17,6 +17,9 @@ FAMILIES = ("cell_tags", "point_tags")
 DERIVED = ("Normals", "texcoord")
 """Arrays that are computed anew for the surface, in the digits of its file."""
 
+ROUNDED = 1e-7
+"""Part of the largest coordinate by which coordinates may be rounded."""
+
 ALMOST = 1e-4
 """Relative difference up to which a number was rounded."""
 
@@ -70,9 +73,16 @@ def not_kept(mesh: Any, back: Any) -> list[str]:
             if kept:
                 gone.discard(name)
                 renamed.append(f"the name of {what} {name!r} (there {best!r})")
+            elif other := next((n for n in others if ordered and _renumbered(values, others[n])),
+                               None):
+                gone.discard(name)
+                renamed.append(f"the numbers of {what} {name!r} (others in {other!r})")
             if kept and not other:
                 rest = sorted(key for key in set(values) - kept if values[key].any())
-                lost += [f"{what} {name!r} of {' and '.join(rest)}"] * bool(rest)
+                other_numbers = ordered and _renumbered({key: values[key] for key in rest},
+                                                        others[best])
+                said = "the numbers of " * other_numbers + f"{what} {name!r} of "
+                lost += [said + " and ".join(rest)] * bool(rest)
         lost += _others(mesh, back, kind, what)
         # The formats of VTK have arrays in place of sets.
         arrays = "_sets" in kind and gone <= set(getattr(back, kind.replace("_sets", "_data")))
@@ -150,7 +160,9 @@ def _keys(mesh: Any, other: Any, kind: str, members: Any) -> set[Any]:
 
 def _in_order(mesh: Any, back: Any, *, cells: bool) -> bool:
     """Whether points, or the cells of each type, are in the same order."""
-    if not np.array_equal(_in_space(mesh), _in_space(back)):
+    one, two = _in_space(mesh), _in_space(back)
+    if one.shape != two.shape or not np.allclose(one, two, rtol=0.0, atol=ROUNDED * abs(
+            one).max(initial=0.0)):
         return False
     both = [_by_type(one, [np.sort(block.data, axis=1) for block in one.cells])
             for one in (mesh, back)] if cells else [{}, {}]
@@ -201,6 +213,21 @@ def _same(
     """Types of cells with the same values, in any order if need be."""
     return {kind for kind in set(one) & set(two) if one[kind].shape == two[kind].shape
             and not _difference(one[kind], two[kind], ordered=ordered)}
+
+
+def _renumbered(one: dict[str, NDArray[Any]], two: dict[str, NDArray[Any]]) -> bool:
+    """Whether whole numbers tell cells of each type apart as others do, into several parts."""
+    found = 0
+    for kind in set(one) & set(two):
+        if one[kind].shape != two[kind].shape or {one[kind].dtype.kind, two[kind].dtype.kind} - {
+                *"biu"} or one[kind].ndim != 1:
+            return False
+        old, new = (np.unique(part, return_inverse=True)[1] for part in (one[kind], two[kind]))
+        pairs = np.unique(np.stack([old, new]), axis=1)
+        if not len(pairs[0]) == len(np.unique(pairs[0])) == len(np.unique(pairs[1])):
+            return False
+        found = max(found, len(pairs[0]))
+    return found > 1
 
 
 def other_types(mesh: Any, back: Any) -> list[str]:
