@@ -57,7 +57,7 @@ def not_kept(mesh: Any, back: Any) -> list[str]:
             gone -= {*FAMILIES}
         if gmsh_tables.PHYSICAL in mesh.cell_data:
             gone -= {gmsh_tables.ENTITY}
-            gone -= {gmsh_tables.PHYSICAL} if groups & set(back.cell_sets) else set()
+            gone -= {gmsh_tables.PHYSICAL} if groups and groups <= {*back.cell_sets} else set()
         for name in sorted(gone if kind in ("point_data", "cell_data") else ()):
             values = _by_type(mesh, old[name])
             others = {n: _by_type(back, new[n]) for n in sorted(

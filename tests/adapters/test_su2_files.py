@@ -10,8 +10,9 @@ import meshio
 import numpy as np
 import pytest
 
-from odt_plugins.adapters.files import read_file
+from odt_plugins.adapters.files import read_file, write_file
 from odt_plugins.api import optimize_file
+from odt_plugins.errors import DataNotKeptWarning
 
 
 def rim(cells):
@@ -94,3 +95,29 @@ def test_markers_stay_where_vertices_are_inserted(numbered, tmp_path):
         contract.volumes(points, cells).sum())
     places = text[text.index("NPOIN"): text.index("NMARK")].split("\n")[1:-1]
     assert not numbered or [int(line.split()[3]) for line in places] == list(range(len(places)))
+
+
+@pytest.mark.parametrize("labelled", [True, False])
+def test_groups_and_sets_of_other_formats_are_markers(labelled, tmp_path):
+    """They were called by their numbers, which the configuration of a solver does not know."""
+    points, cells, _ = contract.grid(3, 2)
+    skin = np.array(sorted(contract.facets(cells, np.zeros(len(cells), dtype=int))))
+    inlet = (points[skin][:, :, 0] == points[:, 0].min()).all(axis=1)
+    mesh = meshio.Mesh(points, [("tetra", cells), ("triangle", skin)])
+    none = np.zeros(0, dtype=int)
+    if labelled:
+        mesh.cell_data["gmsh:physical"] = [np.full(len(cells), 1), np.where(inlet, 8, 9)]
+        mesh.field_data = {"inlet": np.array([8, 2]), "no slip": np.array([9, 2])}
+    else:
+        mesh.cell_sets = {"inlet": [none, np.flatnonzero(inlet)],
+                          "no slip": [none, np.flatnonzero(~inlet)]}
+    with pytest.warns(DataNotKeptWarning, match="'no slip'"):
+        write_file(tmp_path / "a.su2", mesh)
+    assert f"MARKER_TAG= inlet\nMARKER_ELEMS= {inlet.sum()}\n" in (
+        tmp_path / "a.su2").read_text(encoding="utf-8")
+    back = read_file(tmp_path / "a.su2")
+    assert set(back.cell_sets) == {"inlet", "no_slip"}
+    (rows,) = (block.data[part] for block, part in zip(
+        back.cells, back.cell_sets["inlet"], strict=True) if len(part))
+    assert {*map(tuple, np.sort(rows, axis=1).tolist())} == {
+        *map(tuple, np.sort(skin[inlet], axis=1).tolist())}

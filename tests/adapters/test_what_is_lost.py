@@ -21,7 +21,7 @@ SUFFIXES = (".vtu", ".vtk", ".vtp", ".msh", ".e", ".med", ".vol", ".mesh", ".obj
 SOLID = (".vtp", ".obj", ".ply", ".off", ".stl")
 """Formats without tetrahedra."""
 
-UNKNOWN = (".e", ".med")
+UNKNOWN = (".e", ".med", ".su2")
 """Formats of which meshio knows no names of groups; tests of their own read these otherwise."""
 
 

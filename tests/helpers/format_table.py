@@ -77,11 +77,13 @@ def _row(mesh, back):
         label += f" of {' and '.join(sorted(where))}"
     names = set(mesh.field_data)
     sets = names <= set(back.cell_sets)
-    if label == "-" and sets:
-        label = "as sets"
+    beside = {"inside", "outside"} <= set(back.cell_sets)
+    if label == "-" and beside:
+        label = "as sets" + " of triangle" * (not sets)
     named = sets or names <= set(back.field_data) or names <= {
         name for family in getattr(back, "cell_tags", {}).values() for name in family}
     yes = {True: "yes", False: "no"}
     exact = np.array_equal(np.unique(mesh.points, axis=0), np.unique(back.points, axis=0))
-    return (yes["triangle" in kinds], label, yes[named], yes["height" in back.point_data],
+    called = "of triangle" if beside and not named else yes[named]
+    return (yes["triangle" in kinds], label, called, yes["height" in back.point_data],
             yes["stress" in back.cell_data], "exact" if exact else "rounded")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -97,6 +98,26 @@ def read(path: Path) -> Any:
     mesh = Mesh(points, cells, cell_data={TAG: tags}, cell_sets=sets)
     setattr(mesh, REMARKS, parts.remarks)
     return mesh
+
+
+def write(path: Path, mesh: Any, binary: bool | None) -> list[str]:
+    """Write a mesh by meshio, with markers called as groups of their numbers are.
+
+    SU2 takes no blanks in names.
+    """
+    import meshio
+
+    del binary
+    meshio.write(path, mesh, file_format="su2")
+    dim = mesh.points.shape[1]
+    titles = {"_".join(name.split()): int(value[0]) for name, value in mesh.field_data.items()
+              if value[1] == dim - 1 and name.strip()}
+    names = {number: title for title, number in titles.items()}
+    data = path.read_text(encoding="utf-8")
+    data = re.sub(r"(?m)^(MARKER_TAG= )(-?\d+)$",
+                  lambda tag: tag[1] + names.get(int(tag[2]), tag[2]), data)
+    path.write_text(data, encoding="utf-8", newline="\n")
+    return []
 
 
 def rewrite(source: Path, target: Path, change: Change) -> list[str]:
