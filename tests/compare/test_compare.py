@@ -17,6 +17,7 @@ from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
+from contestants import in_this_process
 from scipy.sparse import diags
 
 import odt_plugins
@@ -48,6 +49,12 @@ from odt_plugins.figures import radius_ratio, volumes
 QUICK = Limits(seconds=60.0, repeats=2, enough=0.0)
 ONCE = Limits(seconds=60.0, repeats=1)
 FACTS = {"processor": "one", "threads": 1, "seed": 2, "date": "today"}
+
+
+@pytest.fixture
+def no_processes():
+    with in_this_process():
+        yield
 
 
 def contestant(name):
@@ -243,7 +250,7 @@ def test_files_of_a_tool_stay_out_of_the_working_directory(faulty, tmp_path, mon
 
 
 def test_memory_is_that_of_the_contestant_and_not_of_this_process():
-    ballast = np.ones(60_000_000)
+    ballast = np.ones(40_000_000)
     run = run_contestant(ball(60), contestant("Laplacian"), ONCE)
     assert run.facts["peak"] < ballast.nbytes
 
@@ -269,6 +276,7 @@ GOOD = ["Gmsh default", "Gmsh Netgen", "Gmsh combination", "Gmsh Relocate2D", "N
         "mmg3d no insertion", "smart Laplacian", "CGAL exude", "MeshLab flips and Laplacian", OURS]
 
 
+@pytest.mark.usefixtures("no_processes")
 @pytest.mark.parametrize("name", GOOD)
 def test_baselines_are_called_so_that_they_improve_the_mesh(name):
     """A rival that is called wrongly would be beaten without merit."""
@@ -284,6 +292,7 @@ def test_baselines_are_called_so_that_they_improve_the_mesh(name):
     assert row.timing.peak > 1e7
 
 
+@pytest.mark.usefixtures("no_processes")
 @pytest.mark.parametrize("name", ["CGAL odt", "CGAL lloyd"])
 def test_cgal_moves_the_surface_and_that_is_measured(name):
     row = compare_on(SMALL["tets"], [contestant(name)], ONCE, poisson=False).rows[0]
@@ -293,6 +302,7 @@ def test_cgal_moves_the_surface_and_that_is_measured(name):
     assert row.measured.summary.mean_quality > 0.75
 
 
+@pytest.mark.usefixtures("no_processes")
 def test_cgal_refuses_a_start_that_is_not_delaunay():
     start = ball(60)
     moved = start.points.copy()
@@ -303,6 +313,7 @@ def test_cgal_refuses_a_start_that_is_not_delaunay():
     assert "not Delaunay" in run.message
 
 
+@pytest.mark.usefixtures("no_processes")
 def test_ours_on_a_curved_surface_is_a_row(tmp_path):
     surface = stored("bone-surface")
     ours, peer = compare_on(surface, choose(["open3d taubin"]), ONCE).rows[:2]
@@ -339,6 +350,7 @@ def test_choice_by_family_and_by_name():
         choose(["gmesh"])
 
 
+@pytest.mark.usefixtures("no_processes")
 def test_a_tool_that_cannot_take_a_mesh_has_its_row():
     start = SMALL["planar"]
     chosen = choose(["netgen", "Gmsh default", "open3d", "cgal"])
@@ -543,6 +555,7 @@ REGIONS = ["Laplacian", "smart Laplacian", "Gmsh default", "Gmsh Netgen", "Gmsh 
            OURS]
 
 
+@pytest.mark.usefixtures("no_processes")
 @pytest.mark.parametrize(("name", "kind"), [
     (name, kind) for name in REGIONS for kind in ("tets", "planar")
     if any(c.name == name and kind in c.kinds for c in CONTESTANTS)])
@@ -555,6 +568,7 @@ def test_who_can_respects_the_regions_of_a_mesh(name, kind):
     assert abs(row.measured.volume_change) < 1e-12
 
 
+@pytest.mark.usefixtures("no_processes")
 def test_meshlabs_laplacian_holds_the_regions_of_a_surface():
     start = with_regions(pebble(200))
     held = held_vertices(start)
@@ -571,6 +585,7 @@ def test_meshlabs_laplacian_holds_the_regions_of_a_surface():
     assert not held_vertices(pebble(200)).any()
 
 
+@pytest.mark.usefixtures("no_processes")
 def test_who_cannot_respect_regions_says_so():
     start = with_regions(SMALL["tets"])
     assert run_contestant(start, contestant("CGAL exude"), ONCE).status == "unsupported"
@@ -658,6 +673,7 @@ def test_a_stellar_that_fails_is_a_row_that_says_so(on_path):
     assert "Stellar ended with 1 and wrote no mesh: no room" in run.message
 
 
+@pytest.mark.usefixtures("no_processes")
 @pytest.mark.parametrize("name", ["mmgs hausd 2e-3", "CGAL isotropic remeshing"])
 def test_remeshers_of_surfaces_give_a_better_surface_close_to_the_start(name):
     start = pebble(400)

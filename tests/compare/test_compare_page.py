@@ -11,6 +11,7 @@ from functools import partial
 import numpy as np
 import pytest
 from browser import WIDTH, browse
+from contestants import in_this_process
 from measure import bandwidth, blocks, cold, generation, ladder, local_global, small, threads
 from measure.scaling import FILES as SCALING_FILES
 from measure.scaling import PARTS, run_scaling
@@ -60,11 +61,12 @@ def probe(page, tmp_path):
 @pytest.fixture(scope="module")
 def results():
     limits = Limits(repeats=1)
-    solid = compare_on(ball(60), choose(["Netgen sm", "Laplacian"]), limits)
+    with in_this_process():
+        solid, flat, curved = (compare_on(start, choose(names), limits) for start, names in (
+            (ball(60), ["Netgen sm", "Laplacian"]), (plate(60), ["Laplacian"]),
+            (stored("bone-surface"), ["MeshLab flips"])))
     row = replace(solid.rows[-1], contestant="<script>alert(1)</script>", status="crashed",
                   message="ended by <b>SIGSEGV</b>", measured=None, timing=None)
-    flat = compare_on(plate(60), choose(["Laplacian"]), limits)
-    curved = compare_on(stored("bone-surface"), choose(["MeshLab flips"]), limits)
     return [replace(solid, rows=mark([*solid.rows, row])), flat, curved]
 
 
