@@ -25,6 +25,7 @@ def some_cells(count=r.CHUNK):
     return points, cells
 
 
+@pytest.mark.usefixtures("nothing_compiled")
 def test_shapes_in_rows_are_those_of_the_single_cells_bit_for_bit():
     points, cells = some_cells()
     room = np.empty(r.ROWS)

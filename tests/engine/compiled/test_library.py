@@ -137,8 +137,8 @@ def test_any_number_of_processes_builds_the_same_library(built, tmp_path, monkey
     file, module = built
     folder = Path(module.__file__).parent
     monkeypatch.setenv("PYTHONPATH", f"{folder}{os.pathsep}{PACKAGE.parent}")
-    monkeypatch.setattr(ahead.os, "cpu_count", lambda: 3)
-    monkeypatch.setattr(ahead, "WORKERS", 3)
+    monkeypatch.setattr(ahead.os, "cpu_count", lambda: 2)
+    monkeypatch.setattr(ahead, "WORKERS", 2)
     ahead.build(tmp_path / "small.so", LINES)
     assert (tmp_path / "small.so").read_bytes() == file.read_bytes()
 
@@ -254,10 +254,11 @@ from odt_plugins.compare.start import ball, plate, stored
 from odt_plugins.engine.compiled import threads
 from odt_plugins.engine.topology import coloring, order
 threads.THREADED_CELLS = 0
+# The last run below cuts a small mesh into slabs.
+del ahead.RUNS["cells"]["ball", ahead.LARGE]
 for name in ahead.RUNS:
     ahead.run(name)
-for name in ("bunny", "bunny-surface"):
-    optimize((stored(name).points, stored(name).cells))
+optimize((stored("bunny-surface").points, stored("bunny-surface").cells))
 optimize((plate(1000).points, plate(1000).cells))
 optimize((stored("bone").points, stored("bone").cells), boundary="slide", insert=True, threads=2)
 coloring.ONE_BLOCK, coloring.SMALLEST, order.LAYERS = 0, 8, 4

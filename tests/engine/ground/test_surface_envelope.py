@@ -24,7 +24,7 @@ point = st.tuples(coordinate, coordinate, coordinate)
 @given(point, point, point, point)
 def test_closest_point_of_one_triangle(a, b, c, x):
     corners = np.array([a, b, c])
-    square, _, *foot = closest_on_triangle(*x, corners, 0, 1, 2)
+    square, _, *foot = closest_on_triangle.py_func(*x, corners, 0, 1, 2)
     expected = sm.distances(np.array([x]), corners, ONE)[0]
     assert np.sqrt(square) == pytest.approx(expected, abs=1e-7)
     assert np.linalg.norm(np.array(foot) - x) == pytest.approx(np.sqrt(square), abs=1e-12)
@@ -183,7 +183,7 @@ def test_closest_point_of_three_points_on_a_line():
         distance, _, foot = make_reference(points, ONE).closest(x)
         np.testing.assert_allclose(distance, expected, atol=1e-14)
         np.testing.assert_allclose(np.linalg.norm(foot - x, axis=1), expected, atol=1e-14)
-        square = [closest_on_triangle(*y, points, 0, 1, 2)[0] for y in x]
+        square = [closest_on_triangle.py_func(*y, points, 0, 1, 2)[0] for y in x]
         np.testing.assert_allclose(np.sqrt(square), expected, atol=1e-14)
 
 

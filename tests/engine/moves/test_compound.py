@@ -79,6 +79,7 @@ def test_a_pass_without_success_leaves_the_mesh_as_it_was():
     assert contents(mesh) == before
 
 
+@pytest.mark.usefixtures("nothing_compiled")
 def test_star_is_gathered_over_facets():
     points, cells = tm.ball(100, 3)
     mesh = complex_of(points, cells)

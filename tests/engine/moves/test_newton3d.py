@@ -76,6 +76,7 @@ def test_bounds_on_one_side_of_a_right_angle_leave_no_cell_sure():
     assert sure_quality(FREELY) < 1e-5
 
 
+@pytest.mark.usefixtures("nothing_compiled")
 def test_the_state_of_a_star_is_the_sum_and_the_extremes():
     points, cells = loose_tets(300, 8)
     cells = cells[tm.quality(points, cells) > 1e-3]

@@ -87,7 +87,7 @@ def test_every_triangle_has_a_foot_on_its_own_piece():
 @pytest.mark.parametrize(("sections", "tip", "asked", "least"), [
     (400, False, {"size": 0.1}, 0.8), (400, False, {"scale": 1.0}, 0.7),
     (48, True, {"scale": 1.0}, 0.6),
-    (200, True, {"size": 0.1}, 0.4), (48, True, {"size": "curvature"}, 0.6),
+    (200, True, {"size": 0.2}, 0.4), (48, True, {"size": "curvature"}, 0.6),
     (48, True, {"size": "curvature", "envelope": 1e-2}, 0.8),
     (200, True, {"size": "curvature", "envelope": 1e-2}, 0.8)])
 def test_needles_that_meet_in_tips_become_good_triangles(sections, tip, asked, least):
