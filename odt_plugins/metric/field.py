@@ -12,10 +12,10 @@ import numpy as np
 from odt_plugins.adapters.fields import numbers
 from odt_plugins.adapters.host import HostMesh, words_of
 from odt_plugins.adapters.registry import find_adapter
+from odt_plugins.engine.cells.content import CONTENT
 from odt_plugins.engine.cells.elementary import power
 from odt_plugins.engine.cells.geometry import signed_volumes
 from odt_plugins.engine.cells.tensors import determinants, eigenvalues, intersection, of_eigenvalues
-from odt_plugins.engine.remesh.sizes import CONTENT
 from odt_plugins.errors import InvalidOptionError, expect, is_number, plain_values
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.numbers import real_numbers

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from odt_plugins.engine.cells.content import cells_of_sizes
 from odt_plugins.engine.remesh.sizes import (
     Sizes,
-    cells_of_sizes,
     grown,
     lengths_at,
     lengths_of,

@@ -173,6 +173,8 @@ def _triangles(
             note = ("sizes are nearer to those of the input than asked for, since "
                     + (why or "").partition("since ")[2])
             best = outcome if why is None else replace(outcome, notes=(note, *outcome.notes))
+        elif outcome.origin is not None:
+            break
         why = why or outcome.fallback
         if outcome.fallback is None or _stays(mesh, outcome) <= MOST_HELD:
             break

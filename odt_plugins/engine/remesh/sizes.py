@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from odt_plugins.engine.cells.content import CONTENT, cells_of_sizes
 from odt_plugins.engine.cells.elementary import exp, log, power
 from odt_plugins.engine.cells.geometry import signed_volumes
 from odt_plugins.engine.odt.density import smooth_over_stars
@@ -19,9 +20,6 @@ from odt_plugins.mesh.arrays import FloatArray, IntArray, LongArray
 from odt_plugins.mesh.numbers import real_numbers
 from odt_plugins.mesh.seen import as_seen
 from odt_plugins.mesh.simplex import SimplexMesh, corner_mean, diagonal
-
-CONTENT = {3: 0.44, 4: 0.105}
-"""Area of a triangle, volume of a tetrahedron of a good mesh with edges of mean length 1."""
 
 LEAST = 1e-6
 """Smallest size, as a part of the diagonal."""
@@ -170,13 +168,6 @@ def expected_cells(mesh: SimplexMesh, values: FloatArray) -> float:
         corners += float((content * dense[corner]).sum())
     count = ((d + 1) * count + corners / (d + 1)) / (d + 2)
     return count / CONTENT[d + 1]
-
-
-def cells_of_sizes(points: FloatArray, cells: IntArray, values: FloatArray) -> float:
-    """As :func:`expected_cells` of points and cells, without a metric."""
-    dense = power(values, 1.0 - cells.shape[1])
-    content = np.abs(signed_volumes(points, cells))
-    return float((content * corner_mean(dense, cells)).sum()) / CONTENT[cells.shape[1]]
 
 
 def unique_edges(cells: IntArray) -> IntArray:

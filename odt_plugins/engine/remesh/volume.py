@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from odt_plugins.engine.cells.content import cells_of_sizes
 from odt_plugins.engine.cells.extremes import FREELY as ANY
 from odt_plugins.engine.cells.extremes import Bounds
 from odt_plugins.engine.compiled.threads import pieces
@@ -31,7 +32,7 @@ from odt_plugins.engine.remesh.lay_out import SPARE, edges_beyond
 from odt_plugins.engine.remesh.relax import relax_surface
 from odt_plugins.engine.remesh.relent import reached_sizes, relented
 from odt_plugins.engine.remesh.simplices import make_simplices
-from odt_plugins.engine.remesh.sizes import cells_of_sizes, unique_edges
+from odt_plugins.engine.remesh.sizes import unique_edges
 from odt_plugins.engine.remesh.split import split_edges
 from odt_plugins.engine.topology.complex import make_complex
 from odt_plugins.engine.topology.star import star_sum

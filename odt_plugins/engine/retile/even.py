@@ -9,13 +9,12 @@ import numpy as np
 from odt_plugins.engine.ground.build import ground_values
 from odt_plugins.engine.ground.sheet import LINE
 from odt_plugins.engine.retile.collapse import collapse_edges
-from odt_plugins.engine.retile.grading import GROWTH, LEAST
+from odt_plugins.engine.retile.grading import LEAST
 from odt_plugins.engine.retile.net import Net, relative_lengths
 from odt_plugins.engine.retile.passes import Passes, at_thin, grown
 from odt_plugins.engine.retile.shift import slide_vertices
 from odt_plugins.engine.retile.split import split_edges
 from odt_plugins.engine.retile.tracks import Tracks
-from odt_plugins.engine.topology.growth import grown_along
 from odt_plugins.mesh.arrays import FloatArray, IntArray, LongArray
 
 UNLIKE = 1e-3
@@ -97,9 +96,7 @@ def relent_along(net: Net, passes: Passes, nodes: IntArray, edges: IntArray) -> 
         high = np.minimum(near + NEAR - 1, len(knots) - 1)
         mean = (knots[high] - knots[low]) / (high - low)
         sizes[at] = np.minimum(sizes[at], np.maximum(RELENT * mean, LEAST * passes.sizes[at]))
-    if (sizes < passes.sizes).any():
-        passes.sizes = grown_along(passes.rules.ground.points, edges, sizes, GROWTH)
-        passes.measure(net)
+    passes.give_way(net, edges, sizes)
 
 
 def _areas(net: Net) -> FloatArray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from odt_plugins.engine.cells.content import cells_of_sizes
 from odt_plugins.engine.ground.features import Features
 from odt_plugins.engine.retile.tracks import Tracks
 from odt_plugins.engine.topology.growth import grown_along
@@ -13,14 +14,44 @@ GROWTH, FALL = 0.3, 1.0
 """Most by which the size changes over a length of 1, and by how much it falls from edges that stay
 long."""
 
+MOST_GIVEN, MANY = 2, 100
+"""Multiple of the triangles that are expected, or of those there are, beyond which sizes do not
+give way to tracks and to short edges where tracks that are shorter than the sizes at their ends are
+more than so many, as on rough surfaces."""
+
+SHORTENED = (0.0, *(2.0**-k for k in range(16, -1, -1)))
+"""Least parts of a size that tracks count as, one after the other until not too many come."""
+
 LEAST = 1e-6
 """Smallest part of a size that edges which stay, or are between vertices at one place, leave."""
 
 
+def fitted(
+    points: FloatArray, triangles: IntArray, edges: IntArray, sizes: FloatArray,
+    features: Features, tracks: Tracks,
+) -> tuple[FloatArray, float]:
+    """Sizes near what stays, where that makes not too many triangles, and how many are too many."""
+    ends = features.lines.nodes[np.stack([tracks.start, tracks.stop])]
+    long = tracks.arc[tracks.stop] - tracks.arc[tracks.start]
+    short = ~tracks.held & (ends[0] != ends[1]) & (long < sizes[ends].min(axis=0))
+    if short.sum() <= MANY:
+        return fitting(points, edges, sizes, features, tracks), np.inf
+    most = MOST_GIVEN * max(len(triangles), cells_of_sizes(points, triangles, sizes))
+    for least in SHORTENED:
+        found = fitting(points, edges, sizes, features, tracks, least)
+        if cells_of_sizes(points, triangles, found) <= most:
+            break
+    return found, most
+
+
 def fitting(
-    points: FloatArray, edges: IntArray, sizes: FloatArray, features: Features, tracks: Tracks
+    points: FloatArray, edges: IntArray, sizes: FloatArray, features: Features, tracks: Tracks,
+    least: float = 0.0,
 ) -> FloatArray:
-    """Sizes (n,) near what stays: as long as edges that are held, no longer than a track."""
+    """Sizes (n,) near what stays: as long as edges that are held, no longer than a track.
+
+    Tracks count as no shorter than a part ``least`` of the size at their ends.
+    """
     nodes = features.lines.nodes
     out = sizes.astype(np.float64)
     total, count = np.zeros(len(out)), np.zeros(len(out))
@@ -32,7 +63,8 @@ def fitting(
                 np.add.at(total, k, step)
                 np.add.at(count, k, 1.0)
         elif ends[0] != ends[1]:
-            out[ends] = np.minimum(out[ends], tracks.arc[stop] - tracks.arc[start])
+            long = np.maximum(tracks.arc[stop] - tracks.arc[start], least * sizes[ends])
+            out[ends] = np.minimum(out[ends], long)
     on = count > 0
     out[on] = total[on] / count[on]
     if (out == sizes).all():

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from odt_plugins.engine.cells.content import cells_of_sizes
 from odt_plugins.engine.cells.extremes import Extremes
 from odt_plugins.engine.ground.build import ground_values, resample_metric
 from odt_plugins.engine.ground.sheet import SMOOTH
@@ -48,9 +49,11 @@ class Passes:
     """Passes over what has changed since the last pass of the same kind."""
 
     def __init__(
-        self, rules: Rules, sizes: FloatArray, metric: FloatArray, thin: float, most: float
+        self, rules: Rules, sizes: FloatArray, metric: FloatArray, thin: float,
+        most: tuple[float, float],
     ) -> None:
-        self.rules, self.sizes, self.most, self.room = rules, sizes, most, make_room()
+        self.rules, self.sizes, self.room = rules, sizes, make_room()
+        self.most, self.given = most
         self.metric, self.thin = np.ascontiguousarray(metric.T), thin
         self.last: dict[object, int] = {}
 
@@ -83,12 +86,19 @@ class Passes:
         inverse = np.bincount(pairs.ravel(), np.repeat(1.0 / length, 2), minlength=n)
         found = np.full(len(self.sizes), np.inf)
         on_ground(net, RELENT * count / np.where(count > 0, inverse, 1.0), found)
-        if (found < self.sizes).any():
-            ground = self.rules.ground.points
-            self.sizes = np.minimum(self.sizes, found)
-            if not self.metric.size:
-                self.sizes = grown_along(ground, edges, self.sizes, GROWTH)
-            self.measure(net)
+        self.give_way(net, edges, np.minimum(self.sizes, found))
+
+    def give_way(self, net: Net, edges: IntArray, sizes: FloatArray) -> None:
+        """Take sizes that are smaller somewhere, and grow as they may, if not too many come."""
+        if not (sizes < self.sizes).any():
+            return
+        ground = self.rules.ground
+        if not self.metric.size:
+            sizes = grown_along(ground.points, edges, sizes, GROWTH)
+            if cells_of_sizes(ground.points, ground.triangles, sizes) > self.given:
+                return
+        self.sizes = sizes
+        self.measure(net)
 
     def split(self, net: Net, bounds: Extremes) -> Net:
         """Split edges, the longest first, until none is too long that keeps the bounds.

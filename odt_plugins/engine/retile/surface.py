@@ -15,7 +15,7 @@ from odt_plugins.engine.ground.sheet import LINE
 from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.retile.areas import heights
 from odt_plugins.engine.retile.even import relent_along
-from odt_plugins.engine.retile.grading import fitting
+from odt_plugins.engine.retile.grading import fitted
 from odt_plugins.engine.retile.net import Net, Rules, link_all
 from odt_plugins.engine.retile.passes import LONGEST, SHORTEST, Passes, compact
 from odt_plugins.engine.retile.polish import polish
@@ -95,12 +95,13 @@ def resize(
     tracks, marks = _tracks(base, features, reach)
     cosine = math.cos(math.radians(POLICY.surface_turn))
     flat = not points[:, 2].any()
+    given = math.inf
     if not base.metric.size:
-        sizes = fitting(points, edges.vertices, sizes, features, tracks)
+        sizes, given = fitted(points, triangles, edges.vertices, sizes, features, tracks)
     around = np.full(len(triangles), np.inf) if flat else reach
     rules = Rules(ground, tracks, around, cosine, bounds, LONGEST, SHORTEST)
     net = _net(base, features, marks, sizes)
-    passes = Passes(rules, sizes, base.metric, base.thin, most)
+    passes = Passes(rules, sizes, base.metric, base.thin, (most, given))
     for turn in range(ROUNDS):
         net = passes.split(net, bounds if turn else FREELY)
         passes.collapse(net)
