@@ -12,8 +12,10 @@ import odt_plugins
 from odt_plugins.engine.remesh import places as places_module
 from odt_plugins.engine.remesh import remedies, run
 from odt_plugins.engine.remesh.distance import Broken, Kind, astray
-from odt_plugins.engine.run.outcome import unchanged
+from odt_plugins.engine.remesh.wish import Wish
+from odt_plugins.engine.run.outcome import as_it_is, unchanged
 from odt_plugins.mesh.simplex import simplex_mesh
+from odt_plugins.options import Options
 
 
 def test_sizes_give_way_everywhere_before_less_of_the_envelope_is_tried(monkeypatch):
@@ -98,3 +100,25 @@ def test_a_metric_that_cannot_be_followed_is_to_be_stretched_less(monkeypatch, m
     assert np.array_equal(t, cells)
     assert "min_quality fell" in report.fallback
     assert ("try a metric that is stretched less" in report.fallback) is (metric is not None)
+
+
+@pytest.mark.parametrize(("more", "tries"), [(1.5, 3), (1.05, 2)])
+def test_sizes_corrected_for_a_number_begin_with_what_kept_the_promise(monkeypatch, more, tries):
+    mesh, _ = simplex_mesh(*ball(300, 3))
+    goal, attempts = 1000, []
+
+    def once(attempt, asked, *_):
+        attempts.append(attempt)
+        count = round(more * goal * (attempts[0].sizes.asked[0] / attempt.sizes.asked[0]) ** 3)
+        found = replace(unchanged(attempt.mesh, ""), origin=np.arange(len(mesh.points)),
+                        cells=np.resize(mesh.cells, (count, 4)),
+                        regions=np.zeros(count, dtype=np.int32))
+        return found, None if attempt.mesh.frozen.any() else Broken("min_quality fell")
+
+    few = np.arange(len(mesh.cells)) < len(mesh.cells) // 50
+    monkeypatch.setattr(run, "_once", once)
+    monkeypatch.setattr(remedies, "_fallen", lambda *_, **__: False)
+    monkeypatch.setattr(remedies, "spoiled_cells", lambda *_: few)
+    outcome = run.remesh(mesh, Options(boundary="slide"), as_it_is, Wish(cells=goal))
+    assert [attempt.mesh.frozen.any() for attempt in attempts] == [False, True, True][:tries]
+    assert len(outcome.cells) == pytest.approx(goal, rel=0.1)
