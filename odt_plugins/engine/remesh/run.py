@@ -23,6 +23,7 @@ from odt_plugins.engine.remesh.notes import told_of_edges, told_of_triangles
 from odt_plugins.engine.remesh.onto import on_smooth
 from odt_plugins.engine.remesh.places import allowed_figures
 from odt_plugins.engine.remesh.remedies import (
+    EXTREMES,
     MOST_HELD,
     Attempt,
     most_given_way,
@@ -248,6 +249,8 @@ def _tetrahedra(
         return found, last
     outcome = leaving(unchanged(mesh, "no other sizes kept the promise"))
     advice = "; try a metric that is stretched less" if len(mesh.metric) else ""
+    if advice and EXTREMES & {*options.keep}:
+        advice += ", or keep mean_quality and p1_quality alone"
     why = last.why if last else ""
     return replace(outcome, fallback=f"the input is returned, since {why}{advice}"), None
 

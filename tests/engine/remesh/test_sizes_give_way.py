@@ -100,6 +100,7 @@ def test_a_metric_that_cannot_be_followed_is_to_be_stretched_less(monkeypatch, m
     assert np.array_equal(t, cells)
     assert "min_quality fell" in report.fallback
     assert ("try a metric that is stretched less" in report.fallback) is (metric is not None)
+    assert ("keep mean_quality and p1_quality alone" in report.fallback) is (metric is not None)
 
 
 @pytest.mark.parametrize(("more", "tries"), [(1.5, 3), (1.05, 2)])
