@@ -57,7 +57,7 @@ FORMS = {
     "abaqus": Form(points=False, cells=False, blocks=True, sets=True, vertices=False,
                    bent=False),
     "avsucd": Form("avsucd:material", cells=False),
-    "cgns": Form(points=False, cells=False, blocks=True, sets=True),
+    "cgns": Form(points=False, cells=False, sets=True),
     "dolfin-xml": Form(points=False, beside=False, kinds="iuf", vectors=False),
     "exodus": Form("exodus:block", blocks=True, sets=True),
     "flac3d": Form(points=False, cells=False, sets=True, text=True, vertices=False, lines=False),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import boxes
+import h5py
 import meshio
 import numpy as np
 import pytest
@@ -80,6 +81,30 @@ def test_sets_are_sections_of_any_names(tmp_path):
         assert len(own) == 1
         assert np.array_equal(own[0], cells[inside] if len(inside) else faces[on])
     assert len(by_gmsh(tmp_path / "a.cgns")[TRIANGLE]) == len(faces)
+
+
+def test_cells_of_the_greatest_dimension_are_counted_and_come_first(tmp_path):
+    """Older readers of VTK take sections behind as many cells as a zone has for its boundary."""
+    points, cells = boxes.box(3, 2)
+    blocks = [("triangle", boxes.rim(cells)), ("tetra", cells)]
+    write_file(tmp_path / "a.cgns", meshio.Mesh(points, blocks))
+    with h5py.File(tmp_path / "a.cgns") as file:
+        zone = file["Base/Zone1"]
+        assert zone[" data"][()].ravel().tolist() == [len(points), len(cells), 0]
+        assert zone["GridElements/ElementRange"][" data"][()].tolist() == [1, len(cells)]
+
+
+def test_cells_of_several_types_and_blocks_have_the_sets_that_they_had(tmp_path):
+    points, cells = boxes.box(3, 2)
+    wedges = np.array([[*cells[0], *cells[1][:2]]])
+    write_file(tmp_path / "a.cgns", meshio.Mesh(points, [("tetra", cells), ("wedge", wedges)]))
+    assert read_file(tmp_path / "a.cgns").cell_sets == {}
+    mesh = meshio.Mesh(points, [("tetra", cells[:9]), ("tetra", cells[9:])],
+                       cell_sets={"some": [np.arange(4), np.arange(3)]})
+    write_file(tmp_path / "b.cgns", mesh)
+    back = read_file(tmp_path / "b.cgns")
+    assert [*back.cell_sets] == ["some"]
+    assert sum(map(len, back.cell_sets["some"])) == 7
 
 
 def test_meshio_reads_tetrahedra(tmp_path):

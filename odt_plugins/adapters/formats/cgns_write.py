@@ -38,8 +38,8 @@ def write(path: Path, mesh: Any, binary: bool | None) -> list[str]:
     del binary
     refuse_types({block.type for block in mesh.cells if len(block.data)} - NUMBERS.keys())
     parts = _sections(mesh)
-    count = sum(len(rows) for _, _, rows in parts)
-    top = max((block.dim for block in mesh.cells), default=0)
+    top = _greatest(mesh)
+    count = sum(len(block.data) for block in mesh.cells if block.dim == top)
     with h5py.File(path, "w", track_order=True) as file:
         for key, text in (("name", "HDF5 MotherNode"), ("label", "Root Node of HDF5 File")):
             file.attrs.create(key, np.bytes_(text), dtype="S33")
@@ -64,14 +64,17 @@ def write(path: Path, mesh: Any, binary: bool | None) -> list[str]:
 
 
 def _sections(mesh: Any) -> list[tuple[str, str, Any]]:
-    """Names, types and nodes of the sections: cells of no set are called as meshio or by type."""
+    """Names, types and nodes of the sections: cells of no set are called as meshio or by type.
+
+    Those of the greatest dimension come first, since readers tell the boundary by that.
+    """
     out: list[tuple[str, str, Any]] = []
     taken = {"GridCoordinates", "ZoneType"}
-    top = max((block.dim for block in mesh.cells), default=0)
-    for i, block in enumerate(mesh.cells):
+    top = _greatest(mesh)
+    for i, block in sorted(enumerate(mesh.cells), key=lambda pair: -pair[1].dim):
         rest = np.ones(len(block.data), dtype=np.bool_)
         members = [(name, indices(rows[i])) for name, rows in mesh.cell_sets.items()]
-        plain = MAIN if block.dim == top else block.type
+        plain = MAIN if block.dim == top and MAIN not in taken else block.type
         for name, rows in [*members, (plain, np.arange(len(block.data)))]:
             own = np.unique(rows[rest[rows]])
             rest[own] = False
@@ -80,6 +83,11 @@ def _sections(mesh: Any) -> list[tuple[str, str, Any]]:
                 taken.add(title)
                 out.append((title, block.type, np.asarray(block.data)[own]))
     return out
+
+
+def _greatest(mesh: Any) -> int:
+    """The greatest dimension that there are cells of."""
+    return max((block.dim for block in mesh.cells if len(block.data)), default=0)
 
 
 def _free(name: str, taken: set[str]) -> str:

@@ -17,7 +17,7 @@ TYPES = {2: ("vertex", 1), 3: ("line", 2), 4: ("line3", 3), 5: ("triangle", 3),
 """Elements of CGNS by their numbers: their names in meshio, and how many nodes they have."""
 
 MAIN = "GridElements"
-"""Section of the cells of the greatest dimension that are in no set."""
+"""Section of the cells of the greatest dimension, of their first type, that are in no set."""
 
 PLAIN = {MAIN, *(kind for kind, _ in TYPES.values())}
 """Names of sections of cells that are in no set."""
