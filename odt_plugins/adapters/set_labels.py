@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -61,7 +62,7 @@ def of_sets(mesh: Any, labels: list[NDArray[Any]] | None) -> list[NDArray[Any]] 
 
 
 def within(mesh: Any, labels: list[NDArray[Any]] | None, largest: int) -> list[NDArray[Any]]:
-    """Labels from 1 to the largest; free numbers stand in place of others: of -k that is k.
+    """Labels from 1 to the largest; free numbers stand in place of others: k of -k if k is free.
 
     Parameters
     ----------
@@ -75,14 +76,17 @@ def within(mesh: Any, labels: list[NDArray[Any]] | None, largest: int) -> list[N
         own = [i for i, block in enumerate(mesh.cells) if block.dim == dim]
         there = np.unique(np.concatenate([out[i] for i in own]))
         good = (there > 0) & (there <= largest)
-        used = {*there[good].tolist()}
-        for old in reversed(there[~good].tolist()):
-            new = -old if 0 < -old <= largest and -old not in used else max(used, default=0) + 1
-            used.add(new)
-            for i in own:
-                out[i][out[i] == old] = new
-            mesh.field_data = {name: np.array([new, dim]) if list(value) == [old, dim] else value
-                               for name, value in mesh.field_data.items()}
+        used, bad = {*there[good].tolist()}, there[~good].tolist()
+        new = {old: -old for old in bad if 0 < -old <= largest and -old not in used}
+        used.update(new.values())
+        free = (k for k in count(1) if k not in used)
+        new |= {old: next(free) for old in bad if old not in new}
+        numbers = np.array([new.get(old, old) for old in there.tolist()], dtype=np.int64)
+        for i in own:
+            out[i] = numbers[np.searchsorted(there, out[i])]
+        mesh.field_data = {
+            name: np.array([new.get(int(tag), tag), dim]) if of == dim else np.array([tag, of])
+            for name, (tag, of) in mesh.field_data.items()}
     return out
 
 

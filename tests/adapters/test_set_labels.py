@@ -76,6 +76,20 @@ def test_labels_that_are_not_positive_get_free_numbers(suffix, pairs, tmp_path):
         assert (found[mask][0] == found[~mask][0]) == (pair[0] == pair[1])
 
 
+@pytest.mark.parametrize(("suffix", "pair", "other"), [
+    (".bdf", (-1, 0), 2), (".vol", (-1, 0), 2), (".bdf", (2**31 - 1, 0), 1),
+    (".vol", (99_999, 10**6), 1)])
+def test_labels_keep_their_number_where_others_get_one(suffix, pair, other, tmp_path):
+    mesh, left, _ = two_bodies({"medit:ref": [pair, (1, 1)]})
+    mesh.cell_sets = {}
+    with pytest.warns(match="medit:ref"):
+        write_file(tmp_path / f"a{suffix}", mesh)
+    back = read_file(tmp_path / f"a{suffix}")
+    (found,) = (np.concatenate([part for block, part in zip(back.cells, parts, strict=True)
+                                if block.type == "tetra"]) for parts in back.cell_data.values())
+    assert np.array_equal(found, np.where(left, abs(pair[0]), other))
+
+
 def test_large_numbers_of_named_groups_are_small_ones_of_netgen(tmp_path):
     """Names of all numbers up to the largest were written, which took the memory of the machine."""
     ng = pytest.importorskip("netgen.meshing")
