@@ -100,7 +100,7 @@ def _distances(mesh: SimplexMesh, used: IntArray, places: FloatArray) -> FloatAr
         return np.asarray(cKDTree(places).query(points)[0])
     count = min(NEAREST, len(places))
     _, which = cKDTree(places).query(points, [*range(1, count + 1)])
-    ends = np.stack([np.repeat(points, count, axis=0), places[which.ravel()]], axis=1)
-    pairs = np.arange(2 * which.size, dtype=np.int32).reshape(-1, 2)
-    metric = np.repeat(mesh.metric[used], 2 * count, axis=0)
-    return lengths_of(ends.reshape(-1, 3), pairs, metric).reshape(which.shape).min(axis=1)
+    pairs = np.arange(2 * len(points), dtype=np.int32).reshape(2, -1).T
+    metric = np.tile(mesh.metric[used], (2, 1))
+    return np.min([lengths_of(np.concatenate([points, places[ends]]), pairs, metric)
+                   for ends in np.transpose(which)], axis=0)
