@@ -7,8 +7,8 @@
 # pyproject.toml allows, toolkits excepted; numba compiles the kernels that they need, once.
 # The third does the runs of odt_plugins/ahead.py with kernels that numba compiles for x86-64-v2 and
 # that check every index.
-# Without arguments the numerical tests run again with the BLAS of a newer processor, then with that
-# of an older one and the kernels that the library has for it.
+# Without arguments the numerical tests run again with the BLAS of a newer processor, and with that of
+# an older one and the kernels that the library has for it.
 # Uses the active virtual environment, or makes .venv beside pyproject.toml.
 set -euo pipefail
 cd "$(dirname "$0")/.."

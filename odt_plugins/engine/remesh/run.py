@@ -108,7 +108,7 @@ def remesh(mesh: SimplexMesh, options: Options, leaving: Leaving, wish: Wish) ->
         for _ in range(CORRECTIONS if counts else 0):
             if _off(outcome, wish, goal) <= (ROUGHLY if known else NEAR):
                 break
-            nearest = min(counts, key=lambda known: abs(counts[known] - goal))
+            nearest = min(counts, key=lambda tried: abs(counts[tried] - goal))
             factor = (factor_for(counts, goal, mesh.dim) if factor in counts
                       else math.sqrt(factor * nearest))
             factor = max(factor, FURTHEST ** (-1.0 / mesh.dim))
