@@ -35,7 +35,7 @@ def of_sets(mesh: Any, labels: list[NDArray[Any]] | None) -> list[NDArray[Any]] 
     labels : list of (m,)   of a cell in several sets that of the first; None of none
     """
     sizes = [len(block.data) for block in mesh.cells]
-    out = [np.array(part) for part in labels or [np.zeros(size, dtype=np.int64) for size in sizes]]
+    out = [np.array(part, dtype=np.int64) for part in labels or map(np.zeros, sizes)]
     sides = mesh.cell_data.get(SIDES, [np.zeros(size, dtype=np.int64) for size in sizes])
     found = labels is not None
     for dim in sorted({block.dim for block in mesh.cells}, reverse=True):
@@ -46,7 +46,6 @@ def of_sets(mesh: Any, labels: list[NDArray[Any]] | None) -> list[NDArray[Any]] 
         if not label.any():
             label = np.concatenate([np.asarray(sides[i]) for i in own])
         if not label.any():
-            label = label.astype(np.int64)
             highest = max((int(part.max(initial=0)) for part in out), default=0)
             for inside in sets.values():
                 label[inside & (label == 0)] = max(highest, int(label.max(initial=0))) + 1

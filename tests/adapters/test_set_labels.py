@@ -90,6 +90,17 @@ def test_labels_keep_their_number_where_others_get_one(suffix, pair, other, tmp_
     assert np.array_equal(found, np.where(left, abs(pair[0]), other))
 
 
+def test_labels_of_blocks_with_other_types_of_integers_are_written(tmp_path):
+    """Joined, signed and unsigned ones became real numbers, which MEDIT's files do not hold."""
+    mesh, _, _ = two_bodies({"medit:ref": [(1, 2), (3, 4)]})
+    labels = mesh.cell_data["medit:ref"]
+    mesh = meshio.Mesh(mesh.points, [*mesh.cells, ("quad", np.array([[0, 1, 4, 3]]))], cell_data={
+        "medit:ref": [labels[0], labels[1].astype(np.uint64), np.array([7])]})
+    write_file(tmp_path / "a.mesh", mesh)
+    back = read_file(tmp_path / "a.mesh").cell_data["medit:ref"]
+    assert sorted(np.unique(np.concatenate(back)).tolist()) == [1, 2, 3, 4, 7]
+
+
 def test_large_numbers_of_named_groups_are_small_ones_of_netgen(tmp_path):
     """Names of all numbers up to the largest were written, which took the memory of the machine."""
     ng = pytest.importorskip("netgen.meshing")
