@@ -107,11 +107,11 @@ def test_groups_and_sets_of_other_formats_are_markers(labelled, tmp_path):
     none = np.zeros(0, dtype=int)
     if labelled:
         mesh.cell_data["gmsh:physical"] = [np.full(len(cells), 1), np.where(inlet, 8, 9)]
-        mesh.field_data = {"inlet": np.array([8, 2]), "no slip": np.array([9, 2])}
+        mesh.field_data = {"inlet": np.array([8, 2]), "no % slip": np.array([9, 2])}
     else:
         mesh.cell_sets = {"inlet": [none, np.flatnonzero(inlet)],
-                          "no slip": [none, np.flatnonzero(~inlet)]}
-    with pytest.warns(DataNotKeptWarning, match="'no slip'"):
+                          "no % slip": [none, np.flatnonzero(~inlet)]}
+    with pytest.warns(DataNotKeptWarning, match="'no % slip'"):
         write_file(tmp_path / "a.su2", mesh)
     assert f"MARKER_TAG= inlet\nMARKER_ELEMS= {inlet.sum()}\n" in (
         tmp_path / "a.su2").read_text(encoding="utf-8")

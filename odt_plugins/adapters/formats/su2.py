@@ -103,15 +103,15 @@ def read(path: Path) -> Any:
 def write(path: Path, mesh: Any, binary: bool | None) -> list[str]:
     """Write a mesh by meshio, with markers called as groups of their numbers are.
 
-    SU2 takes no blanks in names.
+    SU2 takes no blanks in names, and remarks start with a percent sign.
     """
     import meshio
 
     del binary
     meshio.write(path, mesh, file_format="su2")
     dim = mesh.points.shape[1]
-    titles = {"_".join(name.split()): int(value[0]) for name, value in mesh.field_data.items()
-              if value[1] == dim - 1 and name.strip()}
+    titles = {title: int(value[0]) for name, value in mesh.field_data.items() if value[1] == dim - 1
+              and (title := "_".join(name.replace("%", " ").split()))}
     names = {number: title for title, number in titles.items()}
     data = path.read_text(encoding="utf-8")
     data = re.sub(r"(?m)^(MARKER_TAG= )(-?\d+)$",
