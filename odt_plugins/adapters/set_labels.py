@@ -13,10 +13,11 @@ from odt_plugins.adapters.formats.decks import indices
 SIDES = "exodus:side_set"
 """Labels of cells at a boundary beside those of blocks, which are 0 there."""
 
-LARGEST = {"nastran": 2**31 - 1, "netgen": 99_999}
+LARGEST = {"nastran": 9_999_999, "netgen": 99_999}
 """Formats whose tools take no labels but those from 1 on, and up to which these are.
 
-Netgen has names and tables for all numbers up to the largest.
+Netgen has names and tables for all numbers up to the largest; of Nastran longer numbers need wide
+fields, whose elements meshio leaves out.
 """
 
 
@@ -32,7 +33,7 @@ def of_sets(mesh: Any, labels: list[NDArray[Any]] | None) -> list[NDArray[Any]] 
 
     Returns
     -------
-    labels : list of (m,)   of a cell in several sets that of the first; None of none
+    labels : list of (m,)   of a cell in several sets that of the smallest; None of none
     """
     sizes = [len(block.data) for block in mesh.cells]
     out = [np.array(part, dtype=np.int64) for part in labels or map(np.zeros, sizes)]
@@ -47,8 +48,9 @@ def of_sets(mesh: Any, labels: list[NDArray[Any]] | None) -> list[NDArray[Any]] 
             label = np.concatenate([np.asarray(sides[i]) for i in own])
         if not label.any():
             highest = max((int(part.max(initial=0)) for part in out), default=0)
-            for inside in sets.values():
-                label[inside & (label == 0)] = max(highest, int(label.max(initial=0))) + 1
+            masks = [inside for inside in sets.values() if inside.any()]
+            for k in sorted(range(len(masks)), key=lambda k: (-masks[k].sum(), -k)):
+                label[masks[k]] = highest + 1 + k
         found = found or bool(label.any())
         for name, inside in sets.items():
             numbers = np.unique(label[inside])
