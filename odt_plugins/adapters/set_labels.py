@@ -13,11 +13,10 @@ from odt_plugins.adapters.formats.decks import indices
 SIDES = "exodus:side_set"
 """Labels of cells at a boundary beside those of blocks, which are 0 there."""
 
-LARGEST = {"nastran": 9_999_999, "netgen": 99_999}
+LARGEST = {"nastran": 2**31 - 1, "netgen": 99_999}
 """Formats whose tools take no labels but those from 1 on, and up to which these are.
 
-Netgen has names and tables for all numbers up to the largest; of Nastran longer numbers need wide
-fields, whose elements meshio leaves out.
+Netgen has names and tables for all numbers up to the largest.
 """
 
 
