@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
+
 import numpy as np
 
 from odt_plugins.engine.cells.content import cells_of_sizes
@@ -14,13 +16,15 @@ GROWTH, FALL = 0.3, 1.0
 """Most by which the size changes over a length of 1, and by how much it falls from edges that stay
 long."""
 
-MOST_GIVEN, MANY = 2, 100
-"""Multiple of the triangles that are expected, or of those there are, beyond which sizes do not
-give way to tracks and to short edges where tracks that are shorter than the sizes at their ends are
-more than so many, as on rough surfaces."""
+MANY = 100
+"""Largest number of tracks shorter than the sizes at their ends of a surface that is not rough."""
+
+MOST_GIVEN = 2
+"""Largest multiple of the triangles that are expected, or of those there are, for which the sizes
+of a rough surface give way to tracks and to short edges."""
 
 SHORTENED = (0.0, *(2.0**-k for k in range(16, -1, -1)))
-"""Least parts of a size that tracks count as, one after the other until not too many come."""
+"""Parts of a size that tracks count as at least; the least for which not too many come is taken."""
 
 LEAST = 1e-6
 """Smallest part of a size that edges which stay, or are between vertices at one place, leave."""
@@ -37,11 +41,13 @@ def fitted(
     if short.sum() <= MANY:
         return fitting(points, edges, sizes, features, tracks), np.inf
     most = MOST_GIVEN * max(len(triangles), cells_of_sizes(points, triangles, sizes))
-    for least in SHORTENED:
+
+    def few(least: float) -> bool:
         found = fitting(points, edges, sizes, features, tracks, least)
-        if cells_of_sizes(points, triangles, found) <= most:
-            break
-    return found, most
+        return cells_of_sizes(points, triangles, found) <= most
+
+    least = SHORTENED[bisect_left(SHORTENED[:-1], True, key=few)]
+    return fitting(points, edges, sizes, features, tracks, least), most
 
 
 def fitting(

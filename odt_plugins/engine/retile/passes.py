@@ -49,11 +49,11 @@ class Passes:
     """Passes over what has changed since the last pass of the same kind."""
 
     def __init__(
-        self, rules: Rules, sizes: FloatArray, metric: FloatArray, thin: float,
-        most: tuple[float, float],
+        self, rules: Rules, sizes: FloatArray, metric: FloatArray, thin: float, most: float,
+        given: float,
     ) -> None:
         self.rules, self.sizes, self.room = rules, sizes, make_room()
-        self.most, self.given = most
+        self.most, self.given = most, given
         self.metric, self.thin = np.ascontiguousarray(metric.T), thin
         self.last: dict[object, int] = {}
 

@@ -101,7 +101,7 @@ def resize(
     around = np.full(len(triangles), np.inf) if flat else reach
     rules = Rules(ground, tracks, around, cosine, bounds, LONGEST, SHORTEST)
     net = _net(base, features, marks, sizes)
-    passes = Passes(rules, sizes, base.metric, base.thin, (most, given))
+    passes = Passes(rules, sizes, base.metric, base.thin, most, given)
     for turn in range(ROUNDS):
         net = passes.split(net, bounds if turn else FREELY)
         passes.collapse(net)
