@@ -222,7 +222,8 @@ def _tetrahedra(
 ) -> tuple[Outcome, Attempt | None]:
     """Resize tetrahedra, with more vertices where sizes need them if the promise holds so.
 
-    Also what kept the promise with other remedies than the first, where it is to begin next time.
+    Also the attempt that kept the promise, with which sizes in proportion may begin; None of the
+    first attempt, or where none kept the promise.
     """
     n = len(mesh.points)
 
@@ -259,7 +260,9 @@ def _tries(
     mesh: SimplexMesh, sizes: Sizes, options: Options, leaving: Leaving, room: Room,
     known: Attempt | None,
 ) -> tuple[Outcome | None, Attempt | None]:
-    """Resize until the promise holds; None where it does not. Also the last attempt, if not first.
+    """Resize until the promise holds; None where it does not.
+
+    Also the last attempt; None where the first kept the promise.
 
     Within each share of the envelope :func:`remedy` says what is tried next. Then sizes are halfway
     to those of the input where figures still fall, and the share is smaller; at last the boundary
