@@ -19,9 +19,9 @@ long."""
 MANY = 100
 """Largest number of tracks shorter than the sizes at their ends of a surface that is not rough."""
 
-MOST_GIVEN = 2
-"""Largest multiple of the triangles that are expected, or of those there are, for which the sizes
-of a rough surface give way to tracks and to short edges."""
+MOST_GIVEN, MOST_GIVEN_ROUGH = 10, 2
+"""Largest multiple of the triangles that are expected, or of those there are, for which sizes give
+way to tracks and to short edges; on a rough surface."""
 
 SHORTENED = (0.0, *(2.0**-k for k in range(16, -1, -1)))
 """Parts of a size that tracks count as at least; the least for which not too many come is taken."""
@@ -38,16 +38,17 @@ def fitted(
     ends = features.lines.nodes[np.stack([tracks.start, tracks.stop])]
     long = tracks.arc[tracks.stop] - tracks.arc[tracks.start]
     short = ~tracks.held & (ends[0] != ends[1]) & (long < sizes[ends].min(axis=0))
-    if short.sum() <= MANY:
-        return fitting(points, edges, sizes, features, tracks), np.inf
-    most = MOST_GIVEN * max(len(triangles), cells_of_sizes(points, triangles, sizes))
+    rough = short.sum() > MANY
+    most = (MOST_GIVEN_ROUGH if rough else MOST_GIVEN) * max(
+        len(triangles), cells_of_sizes(points, triangles, sizes))
 
     def few(least: float) -> bool:
         found = fitting(points, edges, sizes, features, tracks, least)
         return cells_of_sizes(points, triangles, found) <= most
 
     least = SHORTENED[bisect_left(SHORTENED[:-1], True, key=few)]
-    return fitting(points, edges, sizes, features, tracks, least), most
+    found = fitting(points, edges, sizes, features, tracks, least)
+    return found, most if rough or least > 0.0 else np.inf
 
 
 def fitting(

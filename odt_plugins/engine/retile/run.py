@@ -35,15 +35,16 @@ from odt_plugins.mesh.simplex import SimplexMesh, diagonal, freeze
 from odt_plugins.mesh.surface import Edges, surface_edges
 from odt_plugins.options import Options
 from odt_plugins.progress import silent
-from odt_plugins.promise.good import fallen_since, filled_up
+from odt_plugins.promise.good import GOOD, fallen_since, filled_up
 from odt_plugins.promise.region_sizes import other_sizes
 from odt_plugins.promise.retiled import broken_by_retiling, without_area
 from odt_plugins.promise.surface import FOLD, bad_places
 
 ATTEMPTS = 5
 """Runs. In space the second and third have less and less of the envelope around the places where
-the one before broke the promise; then triangles of the input stay there. In the plane they do at
-once, but for regions whose area is another, which first get less of the envelope."""
+the one before broke the promise; then triangles of the input stay there, or the poor ones alone if
+that were all. In the plane they do at once, but for regions whose area is another, which first get
+less of the envelope."""
 
 FLAT = 64 * float(np.finfo(np.float64).eps)
 """Least altitude of a triangle that a split makes, as a part of the largest coordinate."""
@@ -141,12 +142,22 @@ def retile(
             part[judged.unlike] *= NARROWER
         else:
             spoiled |= judged.unlike
+        if (held.frozen | spoiled).all():
+            spoiled = _poor(base) & ~held.frozen
+            if not spoiled.any():
+                break
         held = freeze(held, held.frozen | spoiled)
         if held.frozen.all():
             break
     report("finishing", 1.0)
     outcome = leaving(unchanged(mesh, "no other sizes kept the promise"))
     return replace(outcome, fallback=f"the input is returned, since {'; '.join(before)}")
+
+
+def _poor(mesh: SimplexMesh) -> BoolArray:
+    """Mark the triangles (m,) whose radius ratio is not good enough for other sizes."""
+    shapes = cell_shapes(*as_seen(mesh.points, mesh.cells, mesh.metric))
+    return np.asarray(shapes[:, 0] < GOOD[3]["min_quality"])
 
 
 def _lines_of(
