@@ -6,7 +6,7 @@ import math
 import time
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -49,12 +49,19 @@ from odt_plugins.progress import part, silent
 from odt_plugins.promise.good import fallen_since, good_enough
 from odt_plugins.promise.remeshed import broken_by_remeshing
 
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
 SHARES = (0.7, 0.4)
 """Parts of the envelope within which surfaces are resized, one after the other until the promise
 holds; sliding has the rest."""
 
 ATTEMPTS = 4
 """Most times within one part; each holds the input around what those before spoiled."""
+
+HALVINGS, FINER = 2, 1.5
+"""Most times that sizes are looked for between some that gave way and those with which figures
+fell, and multiple of the cells of these up to which they are near enough."""
 
 HARDLY_COARSER = 0.7
 """Part of the vertices of the input from which on good triangles may become fewer, as poor ones do
@@ -67,6 +74,14 @@ shorter than the sizes take more."""
 
 LONGER = 1.11
 """Sizes are worked with so many times as long, so that edges have them on average."""
+
+
+class Coarse(NamedTuple):
+    """What was resized with which figures fell: its sizes, and how many cells they made."""
+
+    mesh: SimplexMesh
+    sizes: Sizes
+    cells: int
 
 
 def remesh(mesh: SimplexMesh, options: Options, leaving: Leaving, wish: Wish) -> Outcome:
@@ -266,8 +281,8 @@ def _tries(
 
     Within each share of the envelope :func:`remedy` says what is tried next. Then sizes are halfway
     to those of the input where figures still fall, and the share is smaller; at last the boundary
-    stays. What kept the promise with sizes in proportion, if ``known``, is begun with, and its
-    share is the only one.
+    stays. Where sizes gave way, coarser ones are looked for, see :func:`_less_fine`. What kept the
+    promise with sizes in proportion, if ``known``, is begun with, and its share is the only one.
     """
     slides, falls = options.boundary == "slide", False
     attempt = Attempt(mesh, sizes, np.ones(len(mesh.points)), len(mesh.metric) > 0)
@@ -277,15 +292,20 @@ def _tries(
         attempt, shares = known._replace(sizes=known.sizes.scaled(factor)), (known.share,)
     for share in shares:
         following: Attempt | None = attempt._replace(share=share)
+        coarse: Coarse | None = None
         for _ in range(ATTEMPTS):
             if following is None:
                 break
             attempt = following
             outcome, broken = _once(attempt, sizes.values, options, leaving, room)
             if broken is None:
+                if coarse is not None and known is None and attempt.mesh is coarse.mesh:
+                    attempt, outcome = _less_fine(attempt, outcome, coarse, lambda other: _once(
+                        other, sizes.values, options, leaving, room))
                 return (_explained(mesh, attempt, outcome, stays=slides and share == 0.0),
                         attempt if attempt.why else None)
             following, falls = remedy(mesh, attempt, outcome, broken, options)
+            coarse = Coarse(attempt.mesh, attempt.sizes, len(outcome.cells)) if falls else None
             attempt = attempt._replace(why=broken.why)
             following = following and following._replace(why=broken.why)
         attempt = (following or attempt)._replace(mesh=mesh)
@@ -293,6 +313,27 @@ def _tries(
             halfway = nearer(mesh, attempt.sizes, np.zeros(len(mesh.cells), dtype=np.bool_))
             attempt = attempt._replace(sizes=halfway or attempt.sizes)
     return None, attempt
+
+
+def _less_fine(
+    fine: Attempt, found: Outcome, coarse: Coarse,
+    once: Callable[[Attempt], tuple[Outcome, Broken | None]],
+) -> tuple[Attempt, Outcome]:
+    """An attempt that kept the promise, or one with sizes nearer to coarse ones that does, too.
+
+    Sizes are halved between them while they make FINER times as many cells.
+    """
+    for _ in range(HALVINGS):
+        if len(found.cells) <= FINER * coarse.cells:
+            break
+        middle = np.sqrt(fine.sizes.values * coarse.sizes.values)
+        other = fine._replace(sizes=coarse.sizes.below(fine.mesh, middle))
+        outcome, broken = once(other)
+        if broken is None and len(outcome.cells) < len(found.cells):
+            fine, found = other, outcome
+        else:
+            coarse = coarse._replace(sizes=other.sizes, cells=len(outcome.cells))
+    return fine, found
 
 
 def _crowded(mesh: SimplexMesh, sizes: Sizes) -> float:
