@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import math
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from odt_plugins.engine.remesh.distance import Broken, beyond, furthest, too_far
 from odt_plugins.engine.remesh.finish import MORE, Resized, Room, finished, sums
 from odt_plugins.engine.remesh.lay_out import lay_out
 from odt_plugins.engine.remesh.notes import told_of_edges, told_of_triangles
+from odt_plugins.engine.remesh.number import NEAR, ROUGHLY, Goal, factor_towards, goal_of
 from odt_plugins.engine.remesh.onto import on_smooth
 from odt_plugins.engine.remesh.places import allowed_figures
 from odt_plugins.engine.remesh.remedies import (
@@ -30,7 +31,7 @@ from odt_plugins.engine.remesh.remedies import (
     nearer,
     remedy,
 )
-from odt_plugins.engine.remesh.sizes import Sizes, factor_for, local_sizes
+from odt_plugins.engine.remesh.sizes import Sizes, local_sizes
 from odt_plugins.engine.remesh.volume import Resizing, arrays_of, resize
 from odt_plugins.engine.remesh.weld import as_welded, welded
 from odt_plugins.engine.remesh.whole import holds
@@ -48,9 +49,6 @@ from odt_plugins.options import Options
 from odt_plugins.progress import part, silent
 from odt_plugins.promise.good import fallen_since, good_enough
 from odt_plugins.promise.remeshed import broken_by_remeshing
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 SHARES = (0.7, 0.4)
 """Parts of the envelope within which surfaces are resized, one after the other until the promise
@@ -75,6 +73,9 @@ shorter than the sizes take more."""
 LONGER = 1.11
 """Sizes are worked with so many times as long, so that edges have them on average."""
 
+Made = tuple[Resized, Log]
+"""What edges of other lengths make of a mesh, and counts."""
+
 
 class Coarse(NamedTuple):
     """What was resized with which figures fell: its sizes, and how many cells they made."""
@@ -82,6 +83,23 @@ class Coarse(NamedTuple):
     mesh: SimplexMesh
     sizes: Sizes
     cells: int
+
+
+class Course(NamedTuple):
+    """What attempts with some sizes begin with.
+
+    Attributes
+    ----------
+    room : callable             see :data:`~odt_plugins.engine.remesh.finish.Room`
+    known : Attempt or None     what kept the promise with sizes in proportion
+    made : Made or None         what the first attempt makes of the mesh, where that is known
+    brief : bool                whether those within the first share of the envelope are all
+    """
+
+    room: Room = lambda _: MORE
+    known: Attempt | None = None
+    made: Made | None = None
+    brief: bool = False
 
 
 def remesh(mesh: SimplexMesh, options: Options, leaving: Leaving, wish: Wish) -> Outcome:
@@ -108,59 +126,66 @@ def remesh(mesh: SimplexMesh, options: Options, leaving: Leaving, wish: Wish) ->
     if mesh.frozen.all() or not len(mesh.cells):
         return unchanged(mesh, "no cell may change")
 
-    def tries(sizes: Sizes, room: Room, known: Attempt | None) -> tuple[Outcome, Attempt | None]:
+    def tries(sizes: Sizes, course: Course) -> tuple[Outcome, Attempt | None]:
         if mesh.dim == 2:
             found = _triangles(mesh, base, sizes, options, leaving)
             asked = sizes.values if wish.curved else sizes.before_chords(base)
             return found if found.origin is None else replace(
                 found, notes=told_of_triangles(base, asked, found) + found.notes), None
-        return _tetrahedra(mesh, base, sizes, options, leaving, room, known)
+        return _tetrahedra(mesh, base, sizes, options, leaving, course)
 
-    outcome, known = tries(sizes, lambda _: MORE, None)
-    goal = wish.cells if wish.vertices is None else wish.vertices
-    if goal is not None:
-        factor, counts = 1.0, {1.0: _count(outcome, wish)} if outcome.origin is not None else {}
-        for _ in range(CORRECTIONS if counts else 0):
-            if _off(outcome, wish, goal) <= (ROUGHLY if known else NEAR):
-                break
-            nearest = min(counts, key=lambda tried: abs(counts[tried] - goal))
-            factor = (factor_for(counts, goal, mesh.dim) if factor in counts
-                      else math.sqrt(factor * nearest))
-            factor = max(factor, FURTHEST ** (-1.0 / mesh.dim))
-            if factor in counts:
-                break
-            other, last = tries(sizes.scaled(factor), lambda found: min(
-                MORE, goal / _count(found, wish) - 1.0), known)
-            known = known or last
-            if other.origin is not None:
-                counts[factor] = _count(other, wish)
-                if _off(other, wish, goal) < _off(outcome, wish, goal):
-                    outcome = other
-        if _off(outcome, wish, goal) > NEAR:
-            what = "vertices" if wish.cells is None else "cells"
-            note = (f"{_count(outcome, wish)} {what} are as near to the {goal} asked for as the "
-                    "promise allows")
-            outcome = replace(outcome, notes=(note, *outcome.notes))
+    goal = goal_of(wish, mesh.dim)
+    outcome = (tries(sizes, Course())[0] if goal is None
+               else _towards(goal, base, sizes, options, tries))
     return replace(outcome, notes=sizes.notes + outcome.notes)
 
 
-NEAR, CORRECTIONS, FURTHEST = 0.03, 4, 3.0
-"""Sizes are corrected while the number of cells or vertices is off by more than this part, at most
-so often, and to so many times the cells that are expected at first; the nearest result is taken."""
+def _towards(
+    goal: Goal, mesh: SimplexMesh, sizes: Sizes, options: Options, tries: Any
+) -> Outcome:
+    """A mesh with about so many cells or vertices.
 
-ROUGHLY = 0.1
-"""Part by which that number may be off where the first result did not keep the promise: a result
-that is nearer to it often leaves more as it is."""
+    Tetrahedra are resized until their number is about right before a mesh is finished and judged;
+    what that changes is corrected then.
+    """
+    held: list[tuple[float, float, Made]] = []
+    best: list[Outcome] = []
+    known: Attempt | None = None
 
+    def resized(factor: float) -> int | None:
+        scaled = sizes.scaled(factor)
+        tick = partial(part(options.progress or silent, 0.0, 0.4), "resizing")
+        try:
+            made = _resized(_first(mesh, scaled, options), scaled.values, options, tick)
+        except InvalidMeshError:
+            return None
+        off = goal.off(made[0].outcome)
+        if not held or off < held[0][0]:
+            held[:] = [(off, factor, made)]
+        return goal.count(made[0].outcome)
 
-def _count(outcome: Outcome, wish: Wish) -> int:
-    """Number of cells or of their vertices, whichever is asked for."""
-    return len(np.unique(outcome.cells) if wish.cells is None else outcome.cells)
+    def kept(factor: float) -> int | None:
+        nonlocal known
+        made = held.pop()[2] if held and held[0][1] == factor else None
+        outcome, last = tries(sizes.scaled(factor), Course(
+            lambda found: min(MORE, goal.number / goal.count(found) - 1.0), known, made,
+            brief=factor != 1.0))
+        known = known or last
+        if not best or (outcome.origin is not None and (
+                best[0].origin is None or goal.off(outcome) < goal.off(best[0]))):
+            best[:] = [outcome]
+        return None if outcome.origin is None else goal.count(outcome)
 
-
-def _off(outcome: Outcome, wish: Wish, goal: int) -> float:
-    """Part by which the number of cells or vertices is off."""
-    return abs(_count(outcome, wish) / goal - 1.0)
+    factor = 1.0
+    if mesh.dim == 3:
+        factor = factor_towards(goal, resized, lambda: NEAR, factor)
+    factor_towards(goal, kept, lambda: ROUGHLY if known else NEAR, factor)
+    outcome = best[0]
+    if goal.off(outcome) > NEAR:
+        note = (f"{goal.count(outcome)} {goal.what} are as near to the {goal.number} asked for as "
+                "the promise allows")
+        outcome = replace(outcome, notes=(note, *outcome.notes))
+    return outcome
 
 
 def _triangles(
@@ -233,7 +258,7 @@ def _stays(mesh: SimplexMesh, outcome: Outcome) -> float:
 
 def _tetrahedra(
     mesh: SimplexMesh, base: SimplexMesh, sizes: Sizes, options: Options, leaving: Leaving,
-    room: Room, known: Attempt | None,
+    course: Course,
 ) -> tuple[Outcome, Attempt | None]:
     """Resize tetrahedra, with more vertices where sizes need them if the promise holds so.
 
@@ -247,9 +272,9 @@ def _tetrahedra(
         return replace(outcome, origin=np.where(origin < n, origin, -1))
 
     if base is not mesh:
-        if known is None or len(known.mesh.points) > n:
+        if course.known is None or len(course.known.mesh.points) > n:
             found, last = _tries(
-                base, sizes, options, lambda outcome: leaving(own(outcome)), room, known)
+                base, sizes, options, lambda outcome: leaving(own(outcome)), course)
             if found is not None:
                 found = own(found)
                 origin: Any = found.origin
@@ -258,9 +283,9 @@ def _tetrahedra(
                         tuple(options.keep), found.metric, found.faces, slides=True,
                         threads=options.threads):
                     return found, last
-            known = None
-        sizes = sizes.first(n)
-    found, last = _tries(mesh, sizes, options, leaving, room, known)
+            course = course._replace(known=None)
+        sizes, course = sizes.first(n), course._replace(made=None)
+    found, last = _tries(mesh, sizes, options, leaving, course)
     if found is not None:
         return found, last
     outcome = leaving(unchanged(mesh, "no other sizes kept the promise"))
@@ -272,8 +297,7 @@ def _tetrahedra(
 
 
 def _tries(
-    mesh: SimplexMesh, sizes: Sizes, options: Options, leaving: Leaving, room: Room,
-    known: Attempt | None,
+    mesh: SimplexMesh, sizes: Sizes, options: Options, leaving: Leaving, course: Course,
 ) -> tuple[Outcome | None, Attempt | None]:
     """Resize until the promise holds; None where it does not.
 
@@ -282,26 +306,28 @@ def _tries(
     Within each share of the envelope :func:`remedy` says what is tried next. Then sizes are halfway
     to those of the input where figures still fall, and the share is smaller; at last the boundary
     stays. Where sizes gave way, coarser ones are looked for, see :func:`_less_fine`. What kept the
-    promise with sizes in proportion, if ``known``, is begun with, and its share is the only one.
+    promise with sizes in proportion is begun with, and its share is the only one.
     """
     slides, falls = options.boundary == "slide", False
-    attempt = Attempt(mesh, sizes, np.ones(len(mesh.points)), len(mesh.metric) > 0)
-    shares = (*(SHARES if slides else ()), 0.0)
+    attempt, shares = _first(mesh, sizes, options), (*(SHARES if slides else ()), 0.0)
+    known, made = course.known, course.made
     if known is not None:
         factor = float(sizes.asked[0] / known.sizes.asked[0])
         attempt, shares = known._replace(sizes=known.sizes.scaled(factor)), (known.share,)
-    for share in shares:
+        made = None
+    for share in shares[:1] if course.brief else shares:
         following: Attempt | None = attempt._replace(share=share)
         coarse: Coarse | None = None
         for _ in range(ATTEMPTS):
             if following is None:
                 break
             attempt = following
-            outcome, broken = _once(attempt, sizes.values, options, leaving, room)
+            outcome, broken = _once(attempt, sizes.values, options, leaving, course.room, made)
+            made = None
             if broken is None:
                 if coarse is not None and known is None and attempt.mesh is coarse.mesh:
                     attempt, outcome = _less_fine(attempt, outcome, coarse, lambda other: _once(
-                        other, sizes.values, options, leaving, room))
+                        other, sizes.values, options, leaving, course.room, None))
                 return (_explained(mesh, attempt, outcome, stays=slides and share == 0.0),
                         attempt if attempt.why else None)
             following, falls = remedy(mesh, attempt, outcome, broken, options)
@@ -336,6 +362,12 @@ def _less_fine(
     return fine, found
 
 
+def _first(mesh: SimplexMesh, sizes: Sizes, options: Options) -> Attempt:
+    """The attempt that comes first."""
+    share = SHARES[0] if options.boundary == "slide" else 0.0
+    return Attempt(mesh, sizes, np.ones(len(mesh.points)), len(mesh.metric) > 0, share)
+
+
 def _crowded(mesh: SimplexMesh, sizes: Sizes) -> float:
     """Cells from which on none are split."""
     return CROWDED[mesh.dim] * max(sizes.cells, len(mesh.cells))
@@ -354,13 +386,14 @@ def _explained(mesh: SimplexMesh, attempt: Attempt, outcome: Outcome, *, stays: 
 
 def _once(
     attempt: Attempt, asked: FloatArray, options: Options, leaving: Leaving, room: Room,
+    made: Made | None,
 ) -> tuple[Outcome, Broken | None]:
     """Resize within a share of the envelope, optimise within the rest, and judge."""
     mesh, share = attempt.mesh, attempt.share
     report = options.progress or silent
     clock = time.perf_counter()
     try:
-        given, log = _resized(
+        given, log = made or _resized(
             attempt, asked, options, partial(part(report, 0.0, 0.4), "resizing"))
     except InvalidMeshError:
         why = "cells overlap where the surface folded over itself"
@@ -412,7 +445,7 @@ def _once(
 
 def _resized(
     attempt: Attempt, asked: FloatArray, options: Options, tick: Any
-) -> tuple[Resized, Log]:
+) -> Made:
     """The mesh with edges as long as they should be, and counts."""
     mesh, sizes, share = attempt.mesh, attempt.sizes, attempt.share
     start = make_start(mesh)

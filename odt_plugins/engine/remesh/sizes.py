@@ -271,27 +271,3 @@ def _check_positive(values: FloatArray, index: IntArray | None = None) -> None:
         msg = (f"got size {values[bad[0]]} at index {at} ({bad.size} of them); expected finite "
                f"lengths above 0, try a number")
         raise InvalidOptionError(msg)
-
-
-LEAST_POWER = 0.4
-"""Least power of the sizes by which a number of cells changes, as a part of the dimension."""
-
-
-def factor_for(counts: dict[float, int], goal: int, dim: int) -> float:
-    """Factor on the sizes for a number of cells, which falls by their power, from those known.
-
-    Between the nearest ones above and below by interpolation of 1 / number^(1 / dim), beyond both
-    of the nearest ones by the power between these.
-    """
-    length = {(goal / count) ** (1.0 / dim): factor for factor, count in counts.items()}
-    below, above = [x for x in length if x <= 1.0], [x for x in length if x > 1.0]
-    if below and above:
-        low, high = max(below), min(above)
-        return length[low] + (length[high] - length[low]) * (1.0 - low) / (high - low)
-    nearest, *others = sorted(length, key=lambda x: max(x, 1.0 / x))
-    part = 1.0
-    if others:
-        fewer, longer = log(np.array(
-            [nearest / others[0], length[nearest] / length[others[0]]]))
-        part = min(max(float(fewer / longer), LEAST_POWER), 1.0)
-    return length[nearest] * float(nearest ** (-1.0 / part))

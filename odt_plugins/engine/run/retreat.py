@@ -54,12 +54,16 @@ def run_sliding(mesh: SimplexMesh, options: Options, once: Once) -> Outcome:
 
 
 def _may_be_beaten(outcome: Outcome, options: Options) -> bool:
-    """Whether a fixed boundary is worth a run of its own beside a surface that slid."""
+    """Whether a fixed boundary is worth a run of its own beside a surface that slid.
+
+    In a metric a poor tail is no sign that it is: sizes that the surface cannot have make one.
+    """
     if not options.finish:
         return False
     few, alone = len(outcome.cells) < POLICY.few_cells, f"runs of {ALONE}" in outcome.counts
-    seen = as_seen(outcome.points, outcome.cells, outcome.metric)
-    return few or alone or figures(*seen).p1_quality < POLICY.poor_quality
+    if few or alone or len(outcome.metric):
+        return few or alone
+    return figures(outcome.points, outcome.cells).p1_quality < POLICY.poor_quality
 
 
 def _score(outcome: Outcome, options: Options) -> float:

@@ -9,7 +9,8 @@ from tet_meshes import dihedral_angles, oriented, signed_volumes
 
 import odt_plugins
 from odt_plugins.engine.remesh import run
-from odt_plugins.engine.remesh.sizes import STEEP, factor_for, local_sizes, wanted_sizes
+from odt_plugins.engine.remesh.number import factor_for
+from odt_plugins.engine.remesh.sizes import STEEP, local_sizes, wanted_sizes
 from odt_plugins.engine.remesh.whole import beside_whole
 from odt_plugins.engine.remesh.wish import Wish
 from odt_plugins.engine.run.outcome import unchanged
@@ -83,14 +84,17 @@ def test_sizes_are_those_of_the_input_at_cells_that_stay_and_fall_from_there():
 def test_sizes_for_a_number_of_cells_that_cannot_come_are_not_ever_finer(monkeypatch):
     asked = []
 
-    def tetrahedra(mesh, base, sizes, options, leaving, room, known):
+    def tetrahedra(mesh, base, sizes, options, leaving, course):
         asked.append(sizes.values.max())
-        return replace(unchanged(mesh, ""), origin=np.arange(len(mesh.points))), known
+        return replace(unchanged(mesh, ""), origin=np.arange(len(mesh.points))), course.known
 
     monkeypatch.setattr(run, "_tetrahedra", tetrahedra)
-    odt_plugins.remesh(boxes.box(3, 3), cells=5000)
+    points, cells = boxes.box(3, 3)
+    wanted = wanted_sizes(simplex_mesh(points, cells)[0], Wish(cells=5000)).values.max()
+    odt_plugins.remesh((points, cells), cells=5000)
     assert len(asked) == 2
-    assert asked[1] == pytest.approx(asked[0] * 3 ** (-1 / 3))
+    assert asked[0] == pytest.approx(wanted, rel=0.2)
+    assert asked[1] == pytest.approx(wanted * 3 ** (-1 / 3))
 
 
 @pytest.mark.parametrize("stays", [0.0, 0.2, 0.4])

@@ -378,8 +378,8 @@ def test_a_small_region_of_another_volume_has_less_of_the_envelope_and_then_stay
     calls = []
     once = remesh_run._once
 
-    def refused(attempt, asked, options, leaving, room):
-        outcome, broken = once(attempt, asked, options, leaving, room)
+    def refused(attempt, asked, options, leaving, room, made):
+        outcome, broken = once(attempt, asked, options, leaving, room, made)
         calls.append((attempt.mesh, attempt.share * attempt.parts))
         return outcome, Broken("the volume of region 1 is another") if len(calls) < 3 else broken
 

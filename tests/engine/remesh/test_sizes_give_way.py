@@ -22,8 +22,8 @@ def test_sizes_give_way_everywhere_before_less_of_the_envelope_is_tried(monkeypa
     tries = []
     real = run._once
 
-    def once(attempt, asked, options, leaving, room):
-        outcome, broken = real(attempt, asked, options, leaving, room)
+    def once(attempt, asked, options, leaving, room, made):
+        outcome, broken = real(attempt, asked, options, leaving, room, made)
         tries.append((attempt.share, attempt.sizes.values))
         return outcome, Broken("p1_quality fell") if tries[-1][0] == tries[0][0] else broken
 
@@ -48,8 +48,8 @@ def test_less_of_the_envelope_is_used_where_the_surface_came_too_far_alone(monke
     moved = points.copy()
     moved[points[:, 0].argmax()] *= 1.3
 
-    def once(attempt, asked, options, leaving, room):
-        outcome, broken = real(attempt, asked, options, leaving, room)
+    def once(attempt, asked, options, leaving, room, made):
+        outcome, broken = real(attempt, asked, options, leaving, room, made)
         tries.append((attempt.share * attempt.parts, attempt.mesh.frozen.any(), broken))
         return outcome, broken
 

@@ -1,0 +1,109 @@
+"""A number of cells or vertices: a factor on all sizes, corrected until it is met."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from odt_plugins.engine.cells.elementary import log
+from odt_plugins.engine.remesh.wish import Wish
+from odt_plugins.engine.run.outcome import Outcome
+
+NEAR, CORRECTIONS, FURTHEST = 0.03, 4, 3.0
+"""Sizes are corrected while the number of cells or vertices is off by more than this part, at most
+so often, and to so many times the cells that are expected at first; the nearest result is taken."""
+
+ROUGHLY = 0.1
+"""Part by which that number may be off where the first result did not keep the promise: a result
+that is nearer to it often leaves more as it is."""
+
+
+LEAST_POWER = 0.4
+"""Least power of the sizes by which a number of cells changes, as a part of the dimension."""
+
+
+def factor_for(counts: dict[float, int], goal: int, dim: int) -> float:
+    """Factor on the sizes for a number of cells, which falls by their power, from those known.
+
+    Between the nearest ones above and below by interpolation of 1 / number^(1 / dim), beyond both
+    of the nearest ones by the power between these.
+    """
+    length = {(goal / count) ** (1.0 / dim): factor for factor, count in counts.items()}
+    below, above = [x for x in length if x <= 1.0], [x for x in length if x > 1.0]
+    if below and above:
+        low, high = max(below), min(above)
+        return length[low] + (length[high] - length[low]) * (1.0 - low) / (high - low)
+    nearest, *others = sorted(length, key=lambda x: max(x, 1.0 / x))
+    part = 1.0
+    if others:
+        fewer, longer = log(np.array(
+            [nearest / others[0], length[nearest] / length[others[0]]]))
+        part = min(max(float(fewer / longer), LEAST_POWER), 1.0)
+    return length[nearest] * float(nearest ** (-1.0 / part))
+
+
+class Goal(NamedTuple):
+    """How many cells, or vertices of theirs, there are to be.
+
+    Attributes
+    ----------
+    number : int
+    what : str      "cells" or "vertices"
+    dim : int       of the cells
+    """
+
+    number: int
+    what: str
+    dim: int
+
+    def count(self, outcome: Outcome) -> int:
+        """How many an outcome has."""
+        return len(outcome.cells if self.what == "cells" else np.unique(outcome.cells))
+
+    def off(self, outcome: Outcome) -> float:
+        """Part by which that is another number."""
+        return abs(self.count(outcome) / self.number - 1.0)
+
+
+def goal_of(wish: Wish, dim: int) -> Goal | None:
+    """What number is asked for, None for none."""
+    number = wish.cells if wish.vertices is None else wish.vertices
+    what = "cells" if wish.vertices is None else "vertices"
+    return None if number is None else Goal(number, what, dim)
+
+
+def factor_towards(
+    goal: Goal, count: Callable[[float], int | None], near: Callable[[], float], factor: float
+) -> float:
+    """Factor on sizes whose number is the nearest of those that are tried; 1 if all fail.
+
+    Parameters
+    ----------
+    goal : Goal
+    count : callable    the number with a factor, None where there is no result
+    near : callable     part of the goal by which the number may be off
+    factor : float      to be tried first, then 1 where it fails
+    """
+    counts: dict[float, int] = {}
+    nearest = factor
+    for _ in range(CORRECTIONS + 1):
+        found = count(factor)
+        if found is not None:
+            counts[factor] = found
+        if not counts:
+            if factor == 1.0:
+                break
+            nearest = factor = 1.0
+            continue
+        nearest = min(counts, key=lambda tried: abs(counts[tried] - goal.number))
+        if abs(counts[nearest] / goal.number - 1.0) <= near():
+            break
+        factor = (factor_for(counts, goal.number, goal.dim) if factor in counts
+                  else math.sqrt(factor * nearest))
+        factor = max(factor, FURTHEST ** (-1.0 / goal.dim))
+        if factor in counts:
+            break
+    return nearest

@@ -1,0 +1,92 @@
+"""Numbers of cells: aimed at by resizing alone, before a mesh is finished and judged."""
+
+from dataclasses import replace
+
+import boxes
+import numpy as np
+import pytest
+from tet_meshes import ball
+
+import odt_plugins
+from odt_plugins.engine.remesh import run
+from odt_plugins.engine.remesh.number import NEAR, Goal, factor_towards, goal_of
+from odt_plugins.engine.remesh.sizes import wanted_sizes
+from odt_plugins.engine.remesh.wish import Wish
+from odt_plugins.engine.run import retreat
+from odt_plugins.engine.run.outcome import unchanged
+from odt_plugins.mesh.simplex import simplex_mesh
+from odt_plugins.options import Options
+
+
+def by_power(goal, power, stays=0.0):
+    """Counts that fall by a power of the factor, but for a part that stays."""
+    return lambda factor: round(1.6 * goal * (stays + (1.0 - stays) * factor**-power))
+
+
+@pytest.mark.parametrize("power", [1.5, 2.0, 3.0])
+@pytest.mark.parametrize("stays", [0.0, 0.3])
+def test_a_factor_for_a_number_is_found(power, stays):
+    count = by_power(10_000, power, stays)
+    factor = factor_towards(Goal(10_000, "cells", 3), count, lambda: NEAR, 1.0)
+    assert count(factor) == pytest.approx(10_000, rel=NEAR)
+
+
+def test_where_the_first_factor_fails_the_sizes_as_they_are_asked_for_are_tried():
+    asked = []
+
+    def count(factor):
+        asked.append(factor)
+        return 1100 if factor <= 1.0 else None
+
+    assert factor_towards(Goal(1000, "cells", 3), count, lambda: 0.2, 1.5) == 1.0
+    assert asked == [1.5, 1.0]
+
+
+def test_where_all_fail_no_further_sizes_are_tried():
+    asked = []
+    assert factor_towards(Goal(1000, "cells", 3), asked.append, lambda: NEAR, 1.5) == 1.0
+    assert asked == [1.5, 1.0]
+
+
+@pytest.mark.parametrize("what", ["cells", "vertices"])
+def test_a_number_is_met_by_one_mesh_that_is_finished(monkeypatch, what):
+    finished, once = [], run._once
+
+    def counted(attempt, *rest):
+        outcome, broken = once(attempt, *rest)
+        finished.append(rest[-1] is not None)
+        return outcome, broken
+
+    monkeypatch.setattr(run, "_once", counted)
+    goal = {"cells": 4000, "vertices": 900}[what]
+    _, cells = odt_plugins.remesh(boxes.box(3, 6), threads=1, **{what: goal})
+    count = len(cells) if what == "cells" else len(np.unique(cells))
+    assert count == pytest.approx(goal, rel=NEAR)
+    assert finished[0]
+    assert len(finished) <= 2
+
+
+def test_an_input_nearer_to_the_number_does_not_stand_for_a_mesh_that_was_made():
+    mesh = simplex_mesh(*boxes.box(3, 3))[0]
+    goal, options = len(mesh.cells) + 5, Options(boundary="slide")
+    sizes = wanted_sizes(mesh, Wish(cells=goal))
+    made = replace(unchanged(mesh, ""), origin=np.arange(len(mesh.points)),
+                   cells=mesh.cells[:-30], regions=mesh.regions[:-30])
+
+    def tries(sizes, course):
+        return (unchanged(mesh, "") if course.brief else made), None
+
+    assert goal_of(Wish(cells=goal), 3).off(made) > 0.1
+    assert run._towards(goal_of(Wish(cells=goal), 3), mesh, sizes, options, tries).cells is (
+        made.cells)
+
+
+@pytest.mark.parametrize("columns", [0, 6])
+def test_a_poor_tail_in_a_metric_is_no_reason_for_a_fixed_boundary(columns):
+    points, cells = ball(900, 3)
+    points = points * [1.0, 1.0, 0.02]
+    mesh = simplex_mesh(points, cells)[0]
+    outcome = replace(unchanged(mesh, ""), metric=np.zeros((len(points) if columns else 0,
+                                                            columns)))
+    assert len(cells) > 3000
+    assert retreat._may_be_beaten(outcome, Options()) is (columns == 0)
