@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import warnings
 
+import meshio
 import numpy as np
 import pytest
 from boxes import FACES, box
@@ -119,3 +120,31 @@ def test_a_set_of_faces_that_went_goes_with_its_line(scale, tmp_path):
     assert len(sets) < len(low)
     rows = [(i, f) for word, f in told for i in sets.get(word, [word])]
     assert area(found, rows) == pytest.approx([0, 0, -1], abs=1e-12)
+
+
+def test_sets_that_are_called_by_a_number_have_all_their_members(tmp_path):
+    """Of a set called 2 element 2 alone was read; solvers want such a name in quotes."""
+    points, cells = box(3, 2)
+    left = points[cells].mean(axis=1)[:, 0] < 0.5
+    sets = {"2": [np.flatnonzero(left)], "1st": [np.flatnonzero(~left)]}
+    mesh = meshio.Mesh(points, [("tetra", cells)], cell_sets=sets)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        write_file(tmp_path / "a.inp", mesh)
+    text = (tmp_path / "a.inp").read_text()
+    assert 'ELSET="2"' in text
+    assert 'ELSET="1st"' in text
+    for name in ('"2"', "2"):
+        (tmp_path / "b.inp").write_text(text.replace('"2"', name))
+        back = read_file(tmp_path / "b.inp")
+        assert sum(map(len, back.cell_sets["2"])) == left.sum()
+
+
+def test_a_set_that_is_called_as_an_element_with_a_load_stays(tmp_path):
+    points, cells = box(3, 2)
+    (c, f), *_ = faces(points, cells, 0, 0)
+    (tmp_path / "a.inp").write_text(
+        nodes_and_elements(points, cells, {"ALL": range(len(cells))})
+        + f'*ELSET, ELSET="{c + 1}"\n{c + 1}, {c + 2}\n*DLOAD\n{c + 1}, P{f + 1}, 1.0\n')
+    back = read_file(tmp_path / "a.inp")
+    assert sum(map(len, back.cell_sets[str(c + 1)])) == 2

@@ -136,8 +136,8 @@ def titles(deck: Deck, word: str) -> dict[str, tuple[str, str]]:
 
 def faces_only(deck: Deck) -> set[tuple[str, str]]:
     """Sets of elements, by numbers, that nothing refers to but lines with a face in their part."""
-    used = {(deck.sections[side.section].part, words_of(deck.texts[side.line])[0].upper())
-            for side in deck.sides}
+    used = {(deck.sections[side.section].part, word.upper()) for side in deck.sides
+            for word in words_of(deck.texts[side.line])[:1] if not word.isdigit()}
     for section in deck.sections:
         if section.name in ("NODE", "NSET") and "ELSET" not in section.params:
             continue

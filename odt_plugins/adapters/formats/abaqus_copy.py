@@ -14,6 +14,7 @@ from odt_plugins.adapters.formats.abaqus_deck import (
     Deck,
     Section,
     Side,
+    elements_of,
     face_of,
     generated,
     home_of,
@@ -246,7 +247,7 @@ def _faces(
         key, face = _key(deck, i, sides), sides[0].face
         part, word = key[0], words_of(deck.texts[i])[0]
         pairs = places[i]
-        others = {_name(deck, b, r) for b, r in members(deck, part, word)} - {
+        others = {_name(deck, b, r) for b, r in elements_of(deck, part, word)} - {
             _name(deck, side.block, r) for side in sides for r in side.rows}
         pairs += [(name, face) for name in sorted(others)]
         own = {name for name, at in pairs if at == face}

@@ -298,16 +298,23 @@ def _take(
         raise MeshFileError(msg)
 
 
-def members(deck: Deck, part: str, name: str, seen: frozenset[Any] = frozenset()) -> set[Any]:
-    """Elements (block, row) of a set, or the one whose number is given."""
-    if name.isdigit():
-        found = deck.elements.get((part, int(name)))
+def elements_of(deck: Deck, part: str, word: str, seen: frozenset[Any] = frozenset()) -> set[Any]:
+    """Elements (block, row) that a word on a line tells: the one of a number, or those of a set."""
+    alias = resolved(deck.sections)
+    if "." in word and word.partition(".")[0].upper() in alias:
+        of, _, word = word.partition(".")
+        part = alias[of.upper()] or of.upper()
+    if word.isdigit():
+        found = deck.elements.get((part, int(word)))
         return set() if found is None else {found}
+    return members(deck, part, word, seen)
+
+
+def members(deck: Deck, part: str, name: str, seen: frozenset[Any] = frozenset()) -> set[Any]:
+    """Elements (block, row) of a set, whose name may be a number."""
     alias = resolved(deck.sections)
     if "." in name and name.partition(".")[0].upper() in alias:
-        of, _, name = name.partition(".")
-        part = alias[of.upper()] or of.upper()
-        return members(deck, part, name, seen)
+        return elements_of(deck, part, name, seen)
     key = (part, name.upper())
     out: set[Any] = set()
     if key in seen:
@@ -327,7 +334,7 @@ def members(deck: Deck, part: str, name: str, seen: frozenset[Any] = frozenset()
                         found = deck.elements.get((home, int(word)))
                         out |= set() if found is None else {found}
                     else:
-                        out |= members(deck, home if home != part else part, word, seen | {key})
+                        out |= elements_of(deck, home, word, seen | {key})
     return out
 
 
@@ -364,7 +371,7 @@ def _sides(deck: Deck) -> Iterator[Side]:
                 continue
             key = (section.part, words_of(deck.texts[i])[0])
             if key not in known:
-                known[key] = members(deck, *key)
+                known[key] = elements_of(deck, *key)
             rows: dict[int, list[int]] = {}
             for b, r in sorted(known[key]):
                 block = deck.blocks[b]

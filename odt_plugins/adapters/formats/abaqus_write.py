@@ -48,8 +48,8 @@ def write(path: Path, mesh: Any, binary: bool | None) -> list[str]:
 
 
 def _name(name: str) -> str:
-    """Name of a set, in quotes where it has letters that end one."""
-    return name if re.fullmatch(r"[\w.-]+", name) else f'"{name}"'
+    """Name of a set, in quotes where it begins with no letter or has letters that end one."""
+    return name if re.fullmatch(r"[^\W\d][\w.-]*", name) else f'"{name}"'
 
 
 def _lines(numbers: list[int], comma: str) -> list[str]:
