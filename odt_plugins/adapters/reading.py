@@ -108,6 +108,8 @@ def read(path: Path, name: str) -> tuple[Any, list[str]]:
     except TimeoutError as exc:
         msg = f"it takes longer than {seconds:.3g} s, the limit for {size} bytes"
         raise TimeoutError(msg) from exc
+    if not len(mesh.points):
+        mesh.points = np.zeros((0, 3))
     if name in COMPLETED:
         mesh = COMPLETED[name](path, mesh)
     return mesh, [*said, *getattr(mesh, REMARKS, ())]

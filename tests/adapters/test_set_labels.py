@@ -127,3 +127,10 @@ def test_large_numbers_of_named_groups_are_small_ones_of_netgen(tmp_path):
     names = np.array([there.GetMaterial(e.index) for e in there.Elements3D()])
     assert np.array_equal(names == "oil", left)
     assert {*names} == {"oil", "steel"}
+
+
+@pytest.mark.parametrize("suffix", [".vol", ".f3grid", ".mesh", ".off"])
+def test_meshes_without_points_are_written(suffix, tmp_path):
+    """Files without points are read with points of no dimension."""
+    write_file(tmp_path / f"a{suffix}", meshio.Mesh(np.zeros((0, 3)), []))
+    assert read_file(tmp_path / f"a{suffix}").points.shape == (0, 3)
