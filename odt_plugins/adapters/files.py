@@ -38,6 +38,7 @@ from odt_plugins.adapters.formats.decks import DECK, UNREAD
 from odt_plugins.adapters.formats.readers import readable
 from odt_plugins.adapters.host import HostMesh, Result
 from odt_plugins.adapters.recolouring import recoloured
+from odt_plugins.adapters.set_labels import as_sets
 from odt_plugins.adapters.stated import declares_no_cells, meaning_of
 from odt_plugins.errors import (
     DataNotKeptWarning,
@@ -236,8 +237,10 @@ def write_file(
             if trimesh_scene.matches(mesh):
                 lost = scene_files.write(beside / path.name, mesh)
             elif lost is None:
+                labelled, renamed = as_sets(mesh, name)
                 lost, more = _write_and_compare(
-                    beside / path.name, recoloured(mesh, name), name, binary)
+                    beside / path.name, recoloured(labelled, name), name, binary)
+                lost += renamed
                 remarks += more
                 lost += mesh.info.get(UNREAD, []) if isinstance(mesh.info, dict) else []
             for suffix in COMPANIONS.get(name, ()):

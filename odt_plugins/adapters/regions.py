@@ -132,6 +132,16 @@ def _are_attributes(name: str, values: NDArray[Any]) -> bool:
             and bool(np.isfinite(values).all()))
 
 
+def is_known(name: str) -> bool:
+    """Whether the name of an array tells that it has labels."""
+    return name in REGION_ARRAYS or KNOWN.fullmatch(_plain(name)) is not None
+
+
+def _plain(name: str) -> str:
+    """A name in small letters, without anything but letters."""
+    return re.sub(r"[^a-z]", "", name.lower())
+
+
 def spreads(arrays: Mapping[str, NDArray[Any]], cells: NDArray[Any]) -> dict[str, Spread]:
     """How the whole numbers and texts of cell arrays lie in a mesh, or in a part of one.
 
@@ -147,8 +157,7 @@ def spreads(arrays: Mapping[str, NDArray[Any]], cells: NDArray[Any]) -> dict[str
     out: dict[str, Spread] = {}
     pairs = None
     for name, values in arrays.items():
-        plain = re.sub(r"[^a-z]", "", name.lower())
-        known = name in REGION_ARRAYS or KNOWN.fullmatch(plain) is not None
+        plain, known = _plain(name), is_known(name)
         whole = are_whole(values) or _are_attributes(name, values)
         whole = whole and values.shape in ((len(cells),), (len(cells), 1))
         if not whole or not (known or NOT_REGIONS.fullmatch(plain) is None):

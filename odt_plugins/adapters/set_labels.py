@@ -9,11 +9,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.adapters.formats.decks import indices
+from odt_plugins.adapters.formats.gmsh_tables import BOOKKEEPING
+from odt_plugins.adapters.regions import REGION_ARRAYS, is_known
 
 SIDES = "exodus:side_set"
 """Labels of cells at a boundary beside those of blocks, which are 0 there."""
 
-LARGEST = {"nastran": 2**31 - 1, "netgen": 99_999}
+SETS = ("abaqus", "cgns", "flac3d")
+"""Formats that hold sets of cells, and no numbers of theirs."""
+
+GROUPS = ("gmsh:physical", "netgen:index")
+"""Labels that have names, of groups."""
+
+LABELS = (*GROUPS, *REGION_ARRAYS, "exodus:block", "su2:tag")
+"""Arrays of labels that become sets, before others whose name tells that they are labels."""
+
+KINDS = ("Point", "Line", "Surface", "Volume")
+"""What sets of labels are called, by dimension, as Gmsh calls its entities in such files."""
+
+FEW, TWICE = 100, 2
+"""Labels that become sets have the second number of cells on average, at least, and the first one
+where they are more than that."""
+
+MOST = 2**31 - 1
+"""Largest tag of a group of Gmsh."""
+
+LARGEST = {"nastran": MOST, "netgen": 99_999}
 """Formats whose tools take no labels but those from 1 on, and up to which these are.
 
 Netgen has names and tables for all numbers up to the largest.
@@ -59,6 +80,65 @@ def of_sets(mesh: Any, labels: list[NDArray[Any]] | None) -> list[NDArray[Any]] 
                            strict=True):
             out[i] = part
     return out if found else None
+
+
+def as_sets(mesh: Any, name: str) -> tuple[Any, list[str]]:
+    """A mesh with sets of its labels, such as Volume7, for a format that holds sets alone.
+
+    Cells of a dimension with sets have those. Groups of Gmsh with a name have it already.
+
+    Parameters
+    ----------
+    mesh : meshio.Mesh    not changed
+    name : str            of the format
+
+    Returns
+    -------
+    mesh : meshio.Mesh
+    renamed : list of str    the labels that are sets
+    """
+    others = [key for key in mesh.cell_data if is_known(key)]
+    label = next((key for key in (*LABELS, *others) if key in mesh.cell_data
+                  and _are_few(mesh.cell_data[key])), None)
+    if name not in SETS or label is None:
+        return mesh, []
+    groups = {(int(value[1]), int(value[0])) for value in mesh.field_data.values()
+              if np.shape(value) == (2,)} if label in GROUPS else set()
+    parts = [np.asarray(part) for part in mesh.cell_data[label]]
+    physical = label == GROUPS[0]
+    given = [[_mask(rows, len(part)) for rows, part in zip(members, parts, strict=True)]
+             for title, members in mesh.cell_sets.items() if title not in BOOKKEEPING]
+    sets: dict[str, list[NDArray[np.int64]]] = {}
+    for dim in {block.dim for block in mesh.cells}:
+        own = [block.dim == dim for block in mesh.cells]
+        there = np.unique(np.concatenate([p for p, inside in zip(parts, own, strict=True)
+                                          if inside]))
+        known = [masks for masks in given
+                 if any(mask.any() for mask, inside in zip(masks, own, strict=True) if inside)]
+        if not there.any() or (known and not physical and not groups):
+            continue
+        for number in there.tolist():
+            masks = [(part == number) & inside for part, inside in zip(parts, own, strict=True)]
+            if (dim, number) not in groups and (number or not physical) and not any(
+                    all(map(np.array_equal, masks, same)) for same in known):
+                sets[f"{KINDS[dim]}{number}"] = list(map(np.flatnonzero, masks))
+    out = mesh.copy()
+    out.cell_sets = sets | out.cell_sets
+    if groups or not sets:
+        return out if sets else mesh, []
+    own_names = (label, "gmsh:geometrical") if physical else (label,)
+    out.cell_data = {key: values for key, values in out.cell_data.items() if key not in own_names}
+    return out, [f"the name of cell data {label!r} (sets there)"]
+
+
+def _are_few(labels: list[Any]) -> bool:
+    """Whether labels are whole numbers, few of them different."""
+    parts = [np.asarray(part) for part in labels]
+    if not all(part.ndim == 1 and part.dtype.kind in "iu" for part in parts):
+        return False
+    there, count = np.unique(np.concatenate(parts), return_counts=True)
+    cells = count.sum()
+    return bool(cells and cells >= len(there) * (TWICE if len(there) <= FEW else FEW))
 
 
 def within(mesh: Any, labels: list[NDArray[Any]] | None, largest: int) -> list[NDArray[Any]]:

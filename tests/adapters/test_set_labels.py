@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import warnings
 
 import boxes
@@ -134,3 +135,76 @@ def test_meshes_without_points_are_written(suffix, tmp_path):
     """Files without points are read with points of no dimension."""
     write_file(tmp_path / f"a{suffix}", meshio.Mesh(np.zeros((0, 3)), []))
     assert read_file(tmp_path / f"a{suffix}").points.shape == (0, 3)
+
+
+@pytest.mark.parametrize("suffix", [".inp", ".cgns", ".f3grid"])
+@pytest.mark.parametrize("name", ["gmsh:physical", "medit:ref", "material_id"])
+def test_labels_are_sets_where_a_format_has_no_numbers(suffix, name, tmp_path):
+    """Bodies and sides without names were lost, though such files have sets."""
+    mesh, left, inlet = two_bodies({name: [(7, 8), (9, 10)]})
+    mesh.cell_sets = {}
+    with pytest.warns(match=f"does not keep the name of cell data '{name}' .sets there"):
+        write_file(tmp_path / f"a{suffix}", mesh)
+    back = read_file(tmp_path / f"a{suffix}")
+    sizes = {key: sum(len(rows) for rows in members if rows is not None)
+             for key, members in back.cell_sets.items()}
+    assert sizes == {"Volume7": left.sum(), "Volume8": (~left).sum(),
+                     "Surface9": inlet.sum(), "Surface10": (~inlet).sum()}
+
+
+def test_groups_without_a_name_are_sets_beside_those_with_one(tmp_path):
+    mesh, left, inlet = two_bodies({"gmsh:physical": [(7, 8), (9, 0)]})
+    mesh.cell_sets = {}
+    mesh.field_data = {"oil": np.array([7, 3])}
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        write_file(tmp_path / "a.inp", mesh)
+    back = read_file(tmp_path / "a.inp")
+    sizes = {key: sum(map(len, members)) for key, members in back.cell_sets.items()}
+    assert sizes == {"oil": left.sum(), "Volume8": (~left).sum(), "Surface9": inlet.sum()}
+
+
+def test_an_array_of_a_number_a_cell_is_no_sets(tmp_path):
+    mesh, *_ = two_bodies()
+    mesh.cell_sets = {}
+    ends = np.cumsum([0, *(len(block.data) for block in mesh.cells)])
+    mesh.cell_data = {"part": [np.arange(*pair) for pair in itertools.pairwise(ends)]}
+    with pytest.warns(match="cell data 'part'"):
+        write_file(tmp_path / "a.inp", mesh)
+    assert not read_file(tmp_path / "a.inp").cell_sets
+
+
+def test_groups_without_names_that_overlap_are_sets(tmp_path):
+    mesh, left, _ = two_bodies({"gmsh:physical": [(7, 8), (0, 0)]})
+    mesh.cell_sets = {"physical 9": [np.arange(len(left)), np.zeros(0, dtype=np.int64)]}
+    with pytest.warns(match="the name of cell data 'gmsh:physical' .sets there"):
+        write_file(tmp_path / "a.inp", mesh)
+    back = read_file(tmp_path / "a.inp")
+    sizes = {key: sum(map(len, members)) for key, members in back.cell_sets.items()}
+    assert sizes == {"Volume7": left.sum(), "Volume8": (~left).sum(), "physical 9": len(left)}
+
+
+@pytest.mark.parametrize("suffix", [".inp", ".cgns"])
+def test_groups_of_a_model_of_gmsh_without_names_are_sets(suffix, tmp_path):
+    """Files of Gmsh's own name the entities that bound another, by tags that are no cells."""
+    gmsh = pytest.importorskip("gmsh")
+    gmsh.initialize(interruptible=False)
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        gmsh.model.occ.addRectangle(0, 0, 0, 1, 1, tag=1)
+        gmsh.model.occ.addRectangle(1, 0, 0, 1, 1, tag=2)
+        gmsh.model.occ.fragment([(2, 1)], [(2, 2)])
+        gmsh.model.occ.synchronize()
+        lines = gmsh.model.getEntities(1)
+        for dim, entities, tag in ((2, [1], 5), (2, [2], 6), (1, [t for _, t in lines[-3:]], 7)):
+            gmsh.model.addPhysicalGroup(dim, entities, tag)
+        gmsh.option.setNumber("Mesh.MeshSizeMax", 0.3)
+        gmsh.model.mesh.generate(2)
+        gmsh.option.setNumber("Mesh.MshFileVersion", 4.1)
+        gmsh.write(str(tmp_path / "a.msh"))
+    finally:
+        gmsh.finalize()
+    mesh = read_file(tmp_path / "a.msh")
+    with pytest.warns(match="cell data 'gmsh:physical' .sets there"):
+        write_file(tmp_path / f"b{suffix}", mesh)
+    assert {"Surface5", "Surface6", "Line7"} <= {*read_file(tmp_path / f"b{suffix}").cell_sets}
