@@ -15,7 +15,7 @@ from odt_plugins.adapters.gmsh_files import is_group
 from odt_plugins.adapters.higher_order import HIGHER, LAGRANGE, lattice, order_of
 from odt_plugins.adapters.host import POINT_LABELS
 from odt_plugins.adapters.regions import REGION_ARRAYS
-from odt_plugins.adapters.set_labels import LARGEST, of_sets, within
+from odt_plugins.adapters.set_labels import LARGEST, are_tags, of_sets, within
 from odt_plugins.errors import UnsupportedMeshError
 
 
@@ -86,6 +86,9 @@ FORMS = {
     "xdmf": Form(kinds="iuf"),
 }
 """Formats by their name in meshio; of those that are not here meshio is given all there is."""
+
+TAGS = tuple(form.label for form in FORMS.values() if form.label)
+"""Labels of cells of all formats, which are also physical groups in Gmsh's."""
 
 LABELLED = ("exodus", "med")
 """Formats with a label of cells that hold other arrays of cells beside it."""
@@ -417,6 +420,9 @@ def _with_tags(mesh: Any, name: str) -> Any:
     if PHYSICAL not in mesh.cell_data and NETGEN in mesh.cell_data and any(
             map(is_group, mesh.field_data.values())):
         mesh.cell_data[PHYSICAL] = mesh.cell_data.pop(NETGEN)
+    own = next((key for key in TAGS if key in mesh.cell_data), None)
+    if PHYSICAL not in mesh.cell_data and own and are_tags(mesh.cell_data[own]):
+        mesh.cell_data[PHYSICAL] = mesh.cell_data[own]
     if PHYSICAL not in mesh.cell_data:
         mesh.cell_data[PHYSICAL] = [np.zeros(len(block.data), dtype=np.int32)
                                     for block in mesh.cells]

@@ -170,6 +170,14 @@ def within(mesh: Any, labels: list[NDArray[Any]] | None, largest: int) -> list[N
     return out
 
 
+def are_tags(labels: list[Any]) -> bool:
+    """Whether labels are whole numbers from 0 on that Gmsh takes for groups, some of them not 0."""
+    parts = [np.asarray(part) for part in labels]
+    return (all(part.ndim == 1 and part.dtype.kind in "iu" for part in parts)
+            and min((int(part.min()) for part in parts if len(part)), default=0) >= 0
+            and 0 < max((int(part.max()) for part in parts if len(part)), default=0) <= MOST)
+
+
 def _mask(members: Any, size: int) -> NDArray[np.bool_]:
     """Which of the cells of a block are members."""
     inside = np.zeros(size, dtype=np.bool_)

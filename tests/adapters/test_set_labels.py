@@ -137,6 +137,39 @@ def test_meshes_without_points_are_written(suffix, tmp_path):
     assert read_file(tmp_path / f"a{suffix}").points.shape == (0, 3)
 
 
+@pytest.mark.parametrize("suffix", [".mesh", ".meshb", ".bdf", ".ele", ".avs", ".vol", ".b8.ugrid"])
+def test_labels_of_formats_are_physical_groups_in_gmsh(suffix, tmp_path):
+    """They were views, so that nothing in Gmsh could refer to the bodies and sides."""
+    gmsh = pytest.importorskip("gmsh")
+    mesh, left, inlet = two_bodies({"gmsh:physical": [(7, 8), (9, 10)]})
+    mesh.cell_sets = {}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        write_file(tmp_path / f"a{suffix}", mesh)
+        labelled = read_file(tmp_path / f"a{suffix}")
+        write_file(tmp_path / "b.msh", labelled)
+    gmsh.initialize(interruptible=False)
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        gmsh.open(str(tmp_path / "b.msh"))
+        found = {(dim, tag): sum(len(row) for of in gmsh.model.getEntitiesForPhysicalGroup(dim, tag)
+                                 for row in gmsh.model.mesh.getElements(dim, of)[1])
+                 for dim, tag in gmsh.model.getPhysicalGroups()}
+    finally:
+        gmsh.finalize()
+    sides = {(2, 9): inlet.sum(), (2, 10): (~inlet).sum()}
+    bodies = {(3, 7): left.sum(), (3, 8): (~left).sum()}
+    assert found == (sides if suffix == ".b8.ugrid" else sides | bodies)
+
+
+def test_negative_labels_are_no_groups_of_gmsh(tmp_path):
+    mesh, *_ = two_bodies({"medit:ref": [(7, -8), (9, 10)]})
+    mesh.cell_sets = {}
+    write_file(tmp_path / "a.msh", mesh)
+    back = read_file(tmp_path / "a.msh")
+    assert sorted(np.unique(np.concatenate(back.cell_data["medit:ref"]))) == [-8, 7, 9, 10]
+
+
 @pytest.mark.parametrize("suffix", [".inp", ".cgns", ".f3grid"])
 @pytest.mark.parametrize("name", ["gmsh:physical", "medit:ref", "material_id"])
 def test_labels_are_sets_where_a_format_has_no_numbers(suffix, name, tmp_path):
