@@ -217,6 +217,20 @@ def test_groups_without_names_that_overlap_are_sets(tmp_path):
     assert sizes == {"Volume7": left.sum(), "Volume8": (~left).sum(), "physical 9": len(left)}
 
 
+def test_sets_of_the_boundary_are_side_sets_beside_labels_of_bodies(tmp_path):
+    """Sets of an Abaqus deck, whose labels tell bodies alone, were one side set without a name."""
+    mesh, left, inlet = two_bodies()
+    write_file(tmp_path / "a.inp", mesh)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warnings.filterwarnings("ignore", message=".*does not keep the name of cell data")
+        write_file(tmp_path / "b.e", read_file(tmp_path / "a.inp"))
+    back = read_file(tmp_path / "b.e")
+    sizes = {key: sum(map(len, members)) for key, members in back.cell_sets.items()}
+    assert sizes == {"oil": left.sum(), "steel": (~left).sum(), "inlet": inlet.sum(),
+                     "wall": (~inlet).sum()}
+
+
 @pytest.mark.parametrize("suffix", [".inp", ".cgns"])
 def test_groups_of_a_model_of_gmsh_without_names_are_sets(suffix, tmp_path):
     """Files of Gmsh's own name the entities that bound another, by tags that are no cells."""

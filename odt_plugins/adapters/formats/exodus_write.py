@@ -91,10 +91,23 @@ def write(path: Path, mesh: Any, binary: bool | None) -> list[str]:
 
 def _labels(mesh: Any) -> list[NDArray[np.int64]]:
     """Label of every cell: ids of blocks and sides, else a number for every choice of sets."""
-    if BLOCK in mesh.cell_data:
-        sides = mesh.cell_data.get(SIDE, mesh.cell_data[BLOCK])
-        return [np.where(np.asarray(own) == 0, np.asarray(side), np.asarray(own)).astype(np.int64)
-                for own, side in zip(mesh.cell_data[BLOCK], sides, strict=True)]
+    if BLOCK not in mesh.cell_data:
+        return _choices(mesh)
+    sides = mesh.cell_data.get(SIDE, mesh.cell_data[BLOCK])
+    out = [np.where(np.asarray(own) == 0, np.asarray(side), np.asarray(own)).astype(np.int64)
+           for own, side in zip(mesh.cell_data[BLOCK], sides, strict=True)]
+    dims = [block.dim for block in mesh.cells]
+    bare = [not any(part.any() for part, other in zip(out, dims, strict=True) if other == dim)
+            for dim in dims]
+    if any(bare) and mesh.cell_sets:
+        highest = max((int(part.max()) for part in out if len(part)), default=0)
+        out = [part + highest if own else label
+               for part, label, own in zip(_choices(mesh), out, bare, strict=True)]
+    return out
+
+
+def _choices(mesh: Any) -> list[NDArray[np.int64]]:
+    """A number from 1 on of every cell for the choice of sets that it is in, or for its block."""
     masks = [np.zeros((len(block.data), len(mesh.cell_sets)), dtype=np.int64)
              for block in mesh.cells]
     for j, members in enumerate(mesh.cell_sets.values()):
