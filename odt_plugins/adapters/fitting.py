@@ -15,7 +15,7 @@ from odt_plugins.adapters.gmsh_files import is_group
 from odt_plugins.adapters.higher_order import HIGHER, LAGRANGE, lattice, order_of
 from odt_plugins.adapters.host import POINT_LABELS
 from odt_plugins.adapters.regions import REGION_ARRAYS
-from odt_plugins.adapters.set_labels import LARGEST, are_tags, of_sets, within
+from odt_plugins.adapters.set_labels import LARGEST, are_tags, mask_of, of_sets, within
 from odt_plugins.errors import UnsupportedMeshError
 
 
@@ -92,6 +92,9 @@ TAGS = tuple(form.label for form in FORMS.values() if form.label)
 
 LABELLED = ("exodus", "med")
 """Formats with a label of cells that hold other arrays of cells beside it."""
+
+ARRAYS = ("dolfin-xml", "tecplot", "xdmf")
+"""Formats without sets that hold arrays of cells, which have 0 and 1 for those of a set."""
 
 MAIN = ("tetra", "triangle")
 
@@ -174,6 +177,8 @@ def fitted(mesh: Any, name: str) -> tuple[Any, list[str]]:
                 out.point_sets = _points_of(out) | out.point_sets
             lost.append(f"{count} cells of type {kind}")
             _choose(out, [i for i, b in enumerate(out.cells) if b.type != kind])
+    if name in ARRAYS:
+        _sets_as_arrays(out, barred)
     _reorder(out, form)
     if name in ("gmsh", "gmsh22"):
         return _with_tags(out, name), lost
@@ -260,6 +265,21 @@ def _choose(mesh: Any, chosen: list[int]) -> None:
     mesh.cell_data = {name: [values[i] for i in chosen] for name, values in mesh.cell_data.items()}
     mesh.cell_sets = {name: [members[i] for i in chosen]
                       for name, members in mesh.cell_sets.items()}
+
+
+def _sets_as_arrays(mesh: Any, barred: str) -> None:
+    """Give a mesh an array of 0 and 1 for each set with members."""
+    sizes = [len(block.data) for block in mesh.cells]
+    for title, rows in mesh.point_sets.items():
+        if len(rows):
+            mesh.point_data.setdefault(
+                _title(title, barred), mask_of(rows, len(mesh.points)).astype(np.uint8))
+    for title, members in mesh.cell_sets.items():
+        masks = [mask_of(rows, size).astype(np.uint8)
+                 for rows, size in zip(members, sizes, strict=True)
+                 ] if title not in BOOKKEEPING else []
+        if any(part.any() for part in masks):
+            mesh.cell_data.setdefault(_title(title, barred), masks)
 
 
 def _reorder(mesh: Any, form: Form) -> None:

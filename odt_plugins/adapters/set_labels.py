@@ -62,7 +62,7 @@ def of_sets(mesh: Any, labels: list[NDArray[Any]] | None) -> list[NDArray[Any]] 
     for dim in sorted({block.dim for block in mesh.cells}, reverse=True):
         own = [i for i, block in enumerate(mesh.cells) if block.dim == dim]
         label = np.concatenate([out[i] for i in own])
-        sets = {name: np.concatenate([_mask(members[i], sizes[i]) for i in own])
+        sets = {name: np.concatenate([mask_of(members[i], sizes[i]) for i in own])
                 for name, members in mesh.cell_sets.items()}
         if not label.any():
             label = np.concatenate([np.asarray(sides[i]) for i in own])
@@ -106,7 +106,7 @@ def as_sets(mesh: Any, name: str) -> tuple[Any, list[str]]:
               if np.shape(value) == (2,)} if label in GROUPS else set()
     parts = [np.asarray(part) for part in mesh.cell_data[label]]
     physical = label == GROUPS[0]
-    given = [[_mask(rows, len(part)) for rows, part in zip(members, parts, strict=True)]
+    given = [[mask_of(rows, len(part)) for rows, part in zip(members, parts, strict=True)]
              for title, members in mesh.cell_sets.items() if title not in BOOKKEEPING]
     sets: dict[str, list[NDArray[np.int64]]] = {}
     for dim in {block.dim for block in mesh.cells}:
@@ -114,7 +114,7 @@ def as_sets(mesh: Any, name: str) -> tuple[Any, list[str]]:
         there = np.unique(np.concatenate([p for p, inside in zip(parts, own, strict=True)
                                           if inside]))
         known = [masks for masks in given
-                 if any(mask.any() for mask, inside in zip(masks, own, strict=True) if inside)]
+                 if any(part.any() for part, inside in zip(masks, own, strict=True) if inside)]
         if not there.any() or (known and not physical and not groups):
             continue
         for number in there.tolist():
@@ -178,7 +178,7 @@ def are_tags(labels: list[Any]) -> bool:
             and 0 < max((int(part.max()) for part in parts if len(part)), default=0) <= MOST)
 
 
-def _mask(members: Any, size: int) -> NDArray[np.bool_]:
+def mask_of(members: Any, size: int) -> NDArray[np.bool_]:
     """Which of the cells of a block are members."""
     inside = np.zeros(size, dtype=np.bool_)
     inside[indices(members)] = True

@@ -255,3 +255,21 @@ def test_groups_of_a_model_of_gmsh_without_names_are_sets(suffix, tmp_path):
     with pytest.warns(match="cell data 'gmsh:physical' .sets there"):
         write_file(tmp_path / f"b{suffix}", mesh)
     assert {"Surface5", "Surface6", "Line7"} <= {*read_file(tmp_path / f"b{suffix}").cell_sets}
+
+
+@pytest.mark.parametrize("suffix", [".xdmf", ".dat", ".xml"])
+def test_sets_are_arrays_where_a_format_has_these_alone(suffix, tmp_path):
+    """The sets of CGNS and Exodus files were lost, and with them what tells bodies apart."""
+    mesh, left, inlet = two_bodies()
+    nodes = np.flatnonzero(mesh.points[:, 0] == 0)
+    mesh.point_sets = {"grip": nodes}
+    with pytest.warns(match=r"cell sets .*'steel'" + r".*arrays of 0 and 1" * (suffix == ".xdmf")):
+        write_file(tmp_path / f"a{suffix}", mesh)
+    back = read_file(tmp_path / f"a{suffix}")
+    (k,) = (k for k, block in enumerate(back.cells) if block.type == "tetra")
+    assert np.array_equal(np.asarray(back.cell_data["oil"][k]) != 0, left)
+    if suffix == ".xdmf":
+        (j,) = (j for j, block in enumerate(back.cells) if block.type == "triangle")
+        assert np.array_equal(back.cell_data["inlet"][j] != 0, inlet)
+    if suffix != ".xml":
+        assert np.array_equal(np.flatnonzero(back.point_data["grip"]), nodes)
