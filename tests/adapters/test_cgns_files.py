@@ -113,3 +113,18 @@ def test_meshio_reads_tetrahedra(tmp_path):
     back = meshio.read(tmp_path / "a.cgns")
     assert np.array_equal(back.points, points)
     assert np.array_equal(back.cells_dict["tetra"], cells)
+
+
+def test_small_sets_are_whole_beside_one_of_everything(tmp_path):
+    """A set of all cells, if it was the first, left nothing to the others."""
+    points, cells = boxes.box(3, 2)
+    left = points[cells].mean(axis=1)[:, 0] < 0.5
+    sets = {"all": np.arange(len(cells)), "left": np.flatnonzero(left),
+            "odd": np.arange(1, len(cells) - 1), "right": np.flatnonzero(~left)}
+    mesh = meshio.Mesh(points, [("tetra", cells)],
+                       cell_sets={name: [rows] for name, rows in sets.items()})
+    with pytest.warns(match="cell sets 'all', 'odd'"):
+        write_file(tmp_path / "a.cgns", mesh)
+    back = read_file(tmp_path / "a.cgns")
+    sizes = {name: sum(len(rows) for rows in members) for name, members in back.cell_sets.items()}
+    assert sizes == {"left": left.sum(), "right": (~left).sum()}

@@ -27,7 +27,10 @@ KINDS = {"int32": "I4", "int64": "I8", "float32": "R4", "float64": "R8", "int8":
 
 
 def write(path: Path, mesh: Any, binary: bool | None) -> list[str]:
-    """Write points and elements; those of a set are a section, of several sets that of the first.
+    """Write points and elements; those of a set are a section.
+
+    Of cells of several sets the smallest sets that have none in common are whole, and others get
+    what is left.
 
     Raises
     ------
@@ -70,10 +73,10 @@ def _sections(mesh: Any) -> list[tuple[str, str, Any]]:
     """
     out: list[tuple[str, str, Any]] = []
     taken = {"GridCoordinates", "ZoneType"}
-    top = _greatest(mesh)
+    top, order = _greatest(mesh), _order(mesh)
     for i, block in sorted(enumerate(mesh.cells), key=lambda pair: -pair[1].dim):
         rest = np.ones(len(block.data), dtype=np.bool_)
-        members = [(name, indices(rows[i])) for name, rows in mesh.cell_sets.items()]
+        members = [(name, indices(mesh.cell_sets[name][i])) for name in order]
         plain = MAIN if block.dim == top and MAIN not in taken else block.type
         for name, rows in [*members, (plain, np.arange(len(block.data)))]:
             own = np.unique(rows[rest[rows]])
@@ -83,6 +86,22 @@ def _sections(mesh: Any) -> list[tuple[str, str, Any]]:
                 taken.add(title)
                 out.append((title, block.type, np.asarray(block.data)[own]))
     return out
+
+
+def _order(mesh: Any) -> list[str]:
+    """Names of the sets, before others the smallest that have no cell in common."""
+    starts = np.cumsum([0, *(len(block.data) for block in mesh.cells)])
+    rows = {name: np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *(
+        indices(part) + start for part, start in zip(members, starts, strict=False))]))
+        for name, members in mesh.cell_sets.items()}
+    free = np.ones(starts[-1], dtype=np.bool_)
+    whole: list[str] = []
+    others: list[str] = []
+    for name in sorted(rows, key=lambda name: len(rows[name])):
+        (whole if free[rows[name]].all() else others).append(name)
+        if whole[-1:] == [name]:
+            free[rows[name]] = False
+    return whole + others
 
 
 def _greatest(mesh: Any) -> int:
