@@ -148,3 +148,17 @@ def test_a_set_that_is_called_as_an_element_with_a_load_stays(tmp_path):
         + f'*ELSET, ELSET="{c + 1}"\n{c + 1}, {c + 2}\n*DLOAD\n{c + 1}, P{f + 1}, 1.0\n')
     back = read_file(tmp_path / "a.inp")
     assert sum(map(len, back.cell_sets[str(c + 1)])) == 2
+
+
+def test_sets_that_differ_in_capitals_alone_have_two_names(tmp_path):
+    """Abaqus takes such names for one: the first set had the members of the second, too."""
+    points, cells = box(3, 2)
+    left = points[cells].mean(axis=1)[:, 0] < 0.5
+    mesh = meshio.Mesh(points, [("tetra", cells)], point_sets={"A": [0], "a": [1]}, cell_sets={
+        "BODY": [np.flatnonzero(left)], "body": [np.flatnonzero(~left)]})
+    with pytest.warns(match="point sets 'a', cell sets 'body'"):
+        write_file(tmp_path / "a.inp", mesh)
+    back = read_file(tmp_path / "a.inp")
+    sizes = {name: sum(map(len, members)) for name, members in back.cell_sets.items()}
+    assert sizes == {"BODY": left.sum(), "body_2": (~left).sum()}
+    assert {name: list(nodes) for name, nodes in back.point_sets.items()} == {"A": [0], "a_2": [1]}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from itertools import chain, count
 from pathlib import Path
 from typing import Any
 
@@ -35,21 +36,30 @@ def write(path: Path, mesh: Any, binary: bool | None) -> list[str]:
         lines.append(f"*ELEMENT, TYPE={words[block.type]}")
         for i, row in enumerate((np.asarray(block.data) + 1).tolist(), start):
             lines += _lines([i, *row], ",")
+    taken: set[str] = set()
     for name, rows in mesh.cell_sets.items():
         own = [number for part, start in zip(rows, starts, strict=False) if part is not None
                for number in (indices(part) + start).tolist()]
         if own:
-            lines += [f"*ELSET, ELSET={_name(name)}", *_lines(own, "")]
+            lines += [f"*ELSET, ELSET={_name(name, taken)}", *_lines(own, "")]
+    taken = set()
     for name, nodes in mesh.point_sets.items():
         if len(nodes):
-            lines += [f"*NSET, NSET={_name(name)}", *_lines((indices(nodes) + 1).tolist(), "")]
+            lines += [f"*NSET, NSET={_name(name, taken)}",
+                      *_lines((indices(nodes) + 1).tolist(), "")]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return []
 
 
-def _name(name: str) -> str:
-    """Name of a set, in quotes where it begins with no letter or has letters that end one."""
-    return name if re.fullmatch(r"[^\W\d][\w.-]*", name) else f'"{name}"'
+def _name(name: str, taken: set[str]) -> str:
+    """Name of a set, in quotes where it begins with no letter or has letters that end one.
+
+    Small letters and capitals are the same to Abaqus: a number tells names apart.
+    """
+    titles = chain([name], (f"{name}_{k}" for k in count(2)))
+    title = next(title for title in titles if title.upper() not in taken)
+    taken.add(title.upper())
+    return title if re.fullmatch(r"[^\W\d][\w.-]*", title) else f'"{title}"'
 
 
 def _lines(numbers: list[int], comma: str) -> list[str]:
