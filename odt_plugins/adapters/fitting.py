@@ -157,6 +157,9 @@ def fitted(mesh: Any, name: str) -> tuple[Any, list[str]]:
     out.cell_data = {key: arrays for key, arrays in parts.items()
                      if all(array is not None for array in arrays)}
     if form is EVERYTHING:
+        out.point_sets, out.cell_sets = (
+            {_title(key, barred): members for key, members in sets.items()}
+            for sets in (out.point_sets, out.cell_sets))
         out.field_data = {_title(key, barred): array for key, values in out.field_data.items()
                           if (array := _held(np.atleast_1d(values), name, form)) is not None}
     dim, kinds = max((block.dim for block in out.cells), default=0), unheld(out, name)
@@ -236,8 +239,9 @@ def unheld(mesh: Any, name: str) -> str:
 
 
 def _title(name: str, barred: str) -> str:
-    """A name without barred letters, and not empty."""
-    return "".join("_" if letter in barred else letter for letter in name) or "unnamed"
+    """A name without barred letters and those of control that XML bars, and not empty."""
+    return "".join("_" if letter in barred or (letter < " " and letter not in "\t\n\r") else letter
+                   for letter in name) or "unnamed"
 
 
 def _held(values: Any, name: str, form: Form) -> NDArray[Any] | None:

@@ -6,6 +6,7 @@ import re
 import warnings
 
 import contract
+import meshio
 import numpy as np
 import pytest
 
@@ -164,3 +165,16 @@ def test_legacy_files_of_text_have_all_digits(surface, tmp_path):
             if kind == "cell_data":
                 values, found = np.concatenate(values), np.concatenate(found)
             assert np.array_equal(found, values), name
+
+
+@pytest.mark.parametrize("name", ["", "\x01ctl"])
+@pytest.mark.parametrize("kind", ["point_sets", "cell_sets", "point_data"])
+def test_names_that_xml_does_not_take_are_others(kind, name, tmp_path):
+    """A file with such a name was written, could not be read again, and so was refused."""
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    values = {"point_sets": [0, 1], "cell_sets": [[0]], "point_data": np.arange(4)}[kind]
+    mesh = meshio.Mesh(points, [("tetra", [[0, 1, 2, 3]])], **{kind: {name: values}})
+    with pytest.warns(match="does not keep"):
+        write_file(tmp_path / "a.vtu", mesh)
+    back = read_file(tmp_path / "a.vtu")
+    assert [*back.point_data, *back.cell_data] == ["_ctl" if name else "unnamed"]
