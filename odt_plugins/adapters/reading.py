@@ -19,6 +19,7 @@ from odt_plugins.adapters import apart, gmsh_files, netgen_files, vtk_files
 from odt_plugins.adapters.formats import COMPLETED, READERS, flac3d, fluent, vol
 from odt_plugins.adapters.formats.decks import REMARKS
 from odt_plugins.adapters.formats.readers import readable, reader_of
+from odt_plugins.adapters.kinds import nodes_of
 from odt_plugins.adapters.legacy import expect_whole
 from odt_plugins.adapters.stated import expect_counts
 from odt_plugins.errors import InvalidMeshError, MeshFileError
@@ -110,6 +111,9 @@ def read(path: Path, name: str) -> tuple[Any, list[str]]:
         raise TimeoutError(msg) from exc
     if not len(mesh.points):
         mesh.points = np.zeros((0, 3))
+    for block in mesh.cells:
+        if not len(block.data) and np.ndim(block.data) == 1:
+            block.data = np.zeros((0, nodes_of(block.type) or 0), dtype=np.int64)
     if name in COMPLETED:
         mesh = COMPLETED[name](path, mesh)
     return mesh, [*said, *getattr(mesh, REMARKS, ())]

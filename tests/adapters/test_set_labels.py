@@ -273,3 +273,16 @@ def test_sets_are_arrays_where_a_format_has_these_alone(suffix, tmp_path):
         assert np.array_equal(back.cell_data["inlet"][j] != 0, inlet)
     if suffix != ".xml":
         assert np.array_equal(np.flatnonzero(back.point_data["grip"]), nodes)
+
+
+@pytest.mark.parametrize("suffix", [".dato", ".inp", ".vol"])
+def test_blocks_without_cells_are_written(suffix, tmp_path):
+    """PERMAS' files were read with such blocks of no width, which ended in an error."""
+    mesh, *_ = two_bodies()
+    bare = meshio.Mesh(mesh.points, [mesh.cells[0], *(
+        (f"triangle{k}" if k > 3 else "triangle", np.zeros((0, k), dtype=np.int64))
+        for k in (3, 6))])
+    write_file(tmp_path / f"a{suffix}", bare)
+    back = read_file(tmp_path / f"a{suffix}")
+    assert [len(block.data) for block in back.cells if len(block.data)] == [len(mesh.cells[0].data)]
+    assert all(block.data.ndim == 2 for block in back.cells)
