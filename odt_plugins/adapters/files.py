@@ -422,7 +422,9 @@ def _write_and_compare(
             raise refused from exc
         if isinstance(exc, OSError):
             raise
-        raise _not_written(path, name, _reason(exc)) from exc
+        kind = str(exc.args[0]) if isinstance(exc, KeyError) else ""
+        reason = f"it holds no cells of type {kind}" * bool(re.fullmatch(CELLS, kind))
+        raise _not_written(path, name, reason or _reason(exc)) from exc
     if differs:
         raise _not_written(path, name, f"meshio and VTK read {differs} of the file differently")
     if _sizes(back) != _sizes(fit) or (name != "stl" and len(back.points) != len(fit.points)):

@@ -228,3 +228,12 @@ def test_what_a_file_says_besides_its_mesh_is_named_where_another_is_written(nam
     for target, given in ((f"b.{name.split('.')[1]}", uniform_refine(mesh)), ("b.vtu", mesh)):
         with pytest.warns(DataNotKeptWarning, match=re.escape(", ".join(said))):
             write_file(tmp_path / target, given)
+
+
+@pytest.mark.parametrize("suffix", [".med", ".vol"])
+def test_cells_beside_that_a_format_does_not_hold_are_told_in_a_sentence(suffix, tmp_path):
+    """The error said 'quad9' and nothing else."""
+    points = np.random.default_rng(7).random((9, 3))
+    mesh = meshio.Mesh(points, [("triangle6", [[0, 1, 2, 3, 4, 5]]), ("quad9", [range(9)])])
+    with pytest.raises(MeshFileError, match="it holds no cells of type quad9"):
+        write_file(tmp_path / f"a{suffix}", mesh)
