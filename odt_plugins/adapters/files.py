@@ -422,9 +422,10 @@ def _write_and_compare(
             raise refused from exc
         if isinstance(exc, OSError):
             raise
-        kind = str(exc.args[0]) if isinstance(exc, KeyError) else ""
-        reason = f"it holds no cells of type {kind}" * bool(re.fullmatch(CELLS, kind))
-        raise _not_written(path, name, reason or _reason(exc)) from exc
+        kind, reason = str(*exc.args[:1]), _reason(exc)
+        if isinstance(exc, KeyError) and re.fullmatch(CELLS, kind):
+            reason = f"it holds no cells of type {kind}"
+        raise _not_written(path, name, reason) from exc
     if differs:
         raise _not_written(path, name, f"meshio and VTK read {differs} of the file differently")
     if _sizes(back) != _sizes(fit) or (name != "stl" and len(back.points) != len(fit.points)):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -86,6 +87,9 @@ FORMS = {
     "xdmf": Form(kinds="iuf"),
 }
 """Formats by their name in meshio; of those that are not here meshio is given all there is."""
+
+NOT_XML = re.compile("[^\t\n\r -\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+"""A letter that XML 1.0 bars."""
 
 TAGS = tuple(form.label for form in FORMS.values() if form.label)
 """Labels of cells of all formats, which are also physical groups in Gmsh's."""
@@ -239,9 +243,9 @@ def unheld(mesh: Any, name: str) -> str:
 
 
 def _title(name: str, barred: str) -> str:
-    """A name without barred letters and those of control that XML bars, and not empty."""
-    return "".join("_" if letter in barred or (letter < " " and letter not in "\t\n\r") else letter
-                   for letter in name) or "unnamed"
+    """A name without barred letters and those that XML bars, and not empty."""
+    return "".join("_" if letter in barred else letter
+                   for letter in NOT_XML.sub("_", name)) or "unnamed"
 
 
 def _held(values: Any, name: str, form: Form) -> NDArray[Any] | None:
@@ -444,8 +448,9 @@ def _with_tags(mesh: Any, name: str) -> Any:
     if PHYSICAL not in mesh.cell_data and NETGEN in mesh.cell_data and any(
             map(is_group, mesh.field_data.values())):
         mesh.cell_data[PHYSICAL] = mesh.cell_data.pop(NETGEN)
-    own = next((key for key in TAGS if key in mesh.cell_data), None)
-    if PHYSICAL not in mesh.cell_data and own and are_tags(mesh.cell_data[own]):
+    own = next((key for key in TAGS if key in mesh.cell_data
+                and are_tags(mesh.cell_data[key])), None)
+    if PHYSICAL not in mesh.cell_data and own:
         mesh.cell_data[PHYSICAL] = mesh.cell_data[own]
     if PHYSICAL not in mesh.cell_data:
         mesh.cell_data[PHYSICAL] = [np.zeros(len(block.data), dtype=np.int32)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import count
+from itertools import chain, count
 from typing import Any
 
 import numpy as np
@@ -28,11 +28,11 @@ KINDS = ("Point", "Line", "Surface", "Volume")
 """What sets of labels are called, by dimension, as Gmsh calls its entities in such files."""
 
 FEW, TWICE = 100, 2
-"""Labels that become sets have the second number of cells on average, at least, and the first one
-where they are more than that."""
+"""Up to FEW labels become sets where there are TWICE as many cells, more where there are FEW times
+as many."""
 
 MOST = 2**31 - 1
-"""Largest tag of a group of Gmsh."""
+"""Largest number of 32 bits, in groups of Gmsh and labels of Nastran."""
 
 LARGEST = {"nastran": MOST, "netgen": 99_999}
 """Formats whose tools take no labels but those from 1 on, and up to which these are.
@@ -85,7 +85,7 @@ def of_sets(mesh: Any, labels: list[NDArray[Any]] | None) -> list[NDArray[Any]] 
 def as_sets(mesh: Any, name: str) -> tuple[Any, list[str]]:
     """A mesh with sets of its labels, such as Volume7, for a format that holds sets alone.
 
-    Cells of a dimension with sets have those. Groups of Gmsh with a name have it already.
+    Cells of a dimension with sets have those. Groups with a name are sets already.
 
     Parameters
     ----------
@@ -95,12 +95,14 @@ def as_sets(mesh: Any, name: str) -> tuple[Any, list[str]]:
     Returns
     -------
     mesh : meshio.Mesh
-    renamed : list of str    the labels that are sets
+    renamed : list of str    the labels that are sets, all of them
     """
+    if name not in SETS:
+        return mesh, []
     others = [key for key in mesh.cell_data if is_known(key)]
     label = next((key for key in (*LABELS, *others) if key in mesh.cell_data
                   and _are_few(mesh.cell_data[key])), None)
-    if name not in SETS or label is None:
+    if label is None:
         return mesh, []
     groups = {(int(value[1]), int(value[0])) for value in mesh.field_data.values()
               if np.shape(value) == (2,)} if label in GROUPS else set()
@@ -109,32 +111,42 @@ def as_sets(mesh: Any, name: str) -> tuple[Any, list[str]]:
     given = [[mask_of(rows, len(part)) for rows, part in zip(members, parts, strict=True)]
              for title, members in mesh.cell_sets.items() if title not in BOOKKEEPING]
     sets: dict[str, list[NDArray[np.int64]]] = {}
+    whole = True
     for dim in {block.dim for block in mesh.cells}:
         own = [block.dim == dim for block in mesh.cells]
         there = np.unique(np.concatenate([p for p, inside in zip(parts, own, strict=True)
                                           if inside]))
         known = [masks for masks in given
                  if any(part.any() for part, inside in zip(masks, own, strict=True) if inside)]
-        if not there.any() or (known and not physical and not groups):
+        if not there.any():
+            continue
+        if known and not physical and not groups:
+            whole = False
             continue
         for number in there.tolist():
             masks = [(part == number) & inside for part, inside in zip(parts, own, strict=True)]
             if (dim, number) not in groups and (number or not physical) and not any(
                     all(map(np.array_equal, masks, same)) for same in known):
-                sets[f"{KINDS[dim]}{number}"] = list(map(np.flatnonzero, masks))
+                sets[_free(f"{KINDS[dim]}{number}", mesh)] = list(map(np.flatnonzero, masks))
     out = mesh.copy()
     out.cell_sets = sets | out.cell_sets
-    if groups or not sets:
+    if groups or not sets or not whole:
         return out if sets else mesh, []
     own_names = (label, "gmsh:geometrical") if physical else (label,)
     out.cell_data = {key: values for key, values in out.cell_data.items() if key not in own_names}
     return out, [f"the name of cell data {label!r} (sets there)"]
 
 
+def _free(name: str, mesh: Any) -> str:
+    """The name, or that with a number, which no set of cells has."""
+    names = chain([name], (f"{name}_{k}" for k in count(2)))
+    return next(free for free in names if free not in mesh.cell_sets)
+
+
 def _are_few(labels: list[Any]) -> bool:
     """Whether labels are whole numbers, few of them different."""
     parts = [np.asarray(part) for part in labels]
-    if not all(part.ndim == 1 and part.dtype.kind in "iu" for part in parts):
+    if not parts or not all(part.ndim == 1 and part.dtype.kind in "iu" for part in parts):
         return False
     there, count = np.unique(np.concatenate(parts), return_counts=True)
     cells = count.sum()

@@ -168,6 +168,36 @@ def test_negative_labels_are_no_groups_of_gmsh(tmp_path):
     write_file(tmp_path / "a.msh", mesh)
     back = read_file(tmp_path / "a.msh")
     assert sorted(np.unique(np.concatenate(back.cell_data["medit:ref"]))) == [-8, 7, 9, 10]
+    assert not any(np.any(part) for part in back.cell_data.get("gmsh:physical", []))
+
+
+@pytest.mark.parametrize("suffix", [".off", ".vol", ".inp"])
+@pytest.mark.parametrize("source", [".mesh", ".bdf"])
+def test_labels_of_no_cells_are_no_labels(source, suffix, tmp_path):
+    write_file(tmp_path / f"a{source}", meshio.Mesh(np.zeros((0, 3)), []))
+    with pytest.warns(match=":ref"):
+        write_file(tmp_path / f"b{suffix}", read_file(tmp_path / f"a{source}"))
+    assert read_file(tmp_path / f"b{suffix}").points.shape == (0, 3)
+
+
+@pytest.mark.parametrize("suffix", [".inp", ".cgns"])
+def test_labels_beside_sets_of_their_dimension_are_told_to_be_lost(suffix, tmp_path):
+    mesh, *_ = two_bodies({"medit:ref": [(7, 8), (9, 10)]})
+    mesh.cell_sets = {"oil": [np.arange(2), np.zeros(0, dtype=int)]}
+    with pytest.warns(match=r"cell data 'medit:ref'(?! \(sets)") as heard:
+        write_file(tmp_path / f"a{suffix}", mesh)
+    assert not any("the name of" in str(line.message) for line in heard)
+    assert {"Surface9", "Surface10", "oil"} <= {*read_file(tmp_path / f"a{suffix}").cell_sets}
+
+
+def test_a_set_called_like_that_of_a_label_stays(tmp_path):
+    mesh, left, _ = two_bodies({"gmsh:physical": [(7, 8), (9, 10)]})
+    mesh.cell_sets = {"Volume7": [np.arange(2), np.zeros(0, dtype=int)]}
+    with pytest.warns(match="sets there"):
+        write_file(tmp_path / "a.inp", mesh)
+    sets = read_file(tmp_path / "a.inp").cell_sets
+    assert sum(map(len, sets["Volume7"])) == 2
+    assert sum(map(len, sets["Volume7_2"])) == left.sum()
 
 
 @pytest.mark.parametrize("suffix", [".inp", ".cgns", ".f3grid"])
@@ -286,3 +316,28 @@ def test_blocks_without_cells_are_written(suffix, tmp_path):
     back = read_file(tmp_path / f"a{suffix}")
     assert [len(block.data) for block in back.cells if len(block.data)] == [len(mesh.cells[0].data)]
     assert all(block.data.ndim == 2 for block in back.cells)
+
+
+def test_names_that_are_told_apart_take_none_of_another_set(tmp_path):
+    mesh, *_ = two_bodies()
+    none = np.zeros(0, dtype=np.int64)
+    mesh.cell_sets = {name: [np.arange(k + 1), none]
+                      for k, name in enumerate(["BODY", "body", "body_2"])}
+    with pytest.warns(match="body"):
+        write_file(tmp_path / "a.inp", mesh)
+    sets = read_file(tmp_path / "a.inp").cell_sets
+    assert {name: sum(map(len, rows)) for name, rows in sets.items()} == {
+        "BODY": 1, "body_3": 2, "body_2": 3}
+
+
+def test_ids_of_sides_of_exodus_have_32_bits(tmp_path):
+    mesh, _, inlet = two_bodies({"exodus:block": [(2**31 - 1, 8), (0, 0)]})
+    mesh.cell_sets = {"inlet": mesh.cell_sets["inlet"], "wall": mesh.cell_sets["wall"]}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        write_file(tmp_path / "a.e", mesh)
+        back = read_file(tmp_path / "a.e")
+    sides = np.concatenate(back.cell_data["exodus:side_set"])
+    assert sides.min() >= 0
+    assert sorted(np.bincount(np.unique(sides, return_inverse=True)[1])[1:]) == sorted(
+        [inlet.sum(), (~inlet).sum()])

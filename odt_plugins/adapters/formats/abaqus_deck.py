@@ -300,10 +300,11 @@ def _take(
 
 def elements_of(deck: Deck, part: str, word: str, seen: frozenset[Any] = frozenset()) -> set[Any]:
     """Elements (block, row) that a word on a line tells: the one of a number, or those of a set."""
-    alias = resolved(deck.sections)
-    if "." in word and word.partition(".")[0].upper() in alias:
-        of, _, word = word.partition(".")
-        part = alias[of.upper()] or of.upper()
+    if "." in word:
+        alias = resolved(deck.sections)
+        of, _, own = word.partition(".")
+        if of.upper() in alias:
+            part, word = alias[of.upper()] or of.upper(), own
     if word.isdigit():
         found = deck.elements.get((part, int(word)))
         return set() if found is None else {found}

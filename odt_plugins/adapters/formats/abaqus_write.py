@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from itertools import chain, count
 from pathlib import Path
 from typing import Any
@@ -41,23 +42,27 @@ def write(path: Path, mesh: Any, binary: bool | None) -> list[str]:
         own = [number for part, start in zip(rows, starts, strict=False) if part is not None
                for number in (indices(part) + start).tolist()]
         if own:
-            lines += [f"*ELSET, ELSET={_name(name, taken)}", *_lines(own, "")]
+            title = _name(name, taken, mesh.cell_sets)
+            lines += [f"*ELSET, ELSET={title}", *_lines(own, "")]
     taken = set()
     for name, nodes in mesh.point_sets.items():
         if len(nodes):
-            lines += [f"*NSET, NSET={_name(name, taken)}",
+            lines += [f"*NSET, NSET={_name(name, taken, mesh.point_sets)}",
                       *_lines((indices(nodes) + 1).tolist(), "")]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return []
 
 
-def _name(name: str, taken: set[str]) -> str:
+def _name(name: str, taken: set[str], names: Iterable[str]) -> str:
     """Name of a set, in quotes where it begins with no letter or has letters that end one.
 
-    Small letters and capitals are the same to Abaqus: a number tells names apart.
+    Small letters and capitals are the same to Abaqus: a number tells names apart, of which none
+    is one of all ``names``.
     """
-    titles = chain([name], (f"{name}_{k}" for k in count(2)))
-    title = next(title for title in titles if title.upper() not in taken)
+    others = {other.upper() for other in names}
+    numbered = (f"{name}_{k}" for k in count(2))
+    title = next(title for title in chain([name], numbered) if title.upper() not in taken
+                 and (title is name or title.upper() not in others))
     taken.add(title.upper())
     return title if re.fullmatch(r"[^\W\d][\w.-]*", title) else f'"{title}"'
 

@@ -98,9 +98,11 @@ def _order(mesh: Any) -> list[str]:
     whole: list[str] = []
     others: list[str] = []
     for name in sorted(rows, key=lambda name: len(rows[name])):
-        (whole if free[rows[name]].all() else others).append(name)
-        if whole[-1:] == [name]:
+        if free[rows[name]].all():
+            whole.append(name)
             free[rows[name]] = False
+        else:
+            others.append(name)
     return whole + others
 
 

@@ -13,6 +13,9 @@ from odt_plugins.adapters.formats.exodus import BLOCK, SIDE
 from odt_plugins.adapters.formats.exodus_tables import CORNERS, ORDER, WORDS, facets_in
 from odt_plugins.errors import UnsupportedMeshError
 
+LARGEST = 2**31 - 1
+"""Largest id of a block or a side set."""
+
 ENDS = {2: ("_R", "_Z"), 3: ("X", "Y", "Z")}
 """Ends of the names of the components of arrays of so many."""
 
@@ -100,9 +103,12 @@ def _labels(mesh: Any) -> list[NDArray[np.int64]]:
     bare = [not any(part.any() for part, other in zip(out, dims, strict=True) if other == dim)
             for dim in dims]
     if any(bare) and mesh.cell_sets:
-        highest = max((int(part.max()) for part in out if len(part)), default=0)
+        highest = max((int(part.max(initial=0)) for part in out), default=0)
+        choices = _choices(mesh)
+        if highest + max(int(part.max(initial=0)) for part in choices) > LARGEST:
+            highest = 0
         out = [part + highest if own else label
-               for part, label, own in zip(_choices(mesh), out, bare, strict=True)]
+               for part, label, own in zip(choices, out, bare, strict=True)]
     return out
 
 

@@ -20,7 +20,6 @@ ROUGHLY = 0.1
 """Part by which that number may be off where the first result did not keep the promise: a result
 that is nearer to it often leaves more as it is."""
 
-
 LEAST_POWER = 0.4
 """Least power of the sizes by which a number of cells changes, as a part of the dimension."""
 
@@ -78,7 +77,7 @@ def goal_of(wish: Wish, dim: int) -> Goal | None:
 def factor_towards(
     goal: Goal, count: Callable[[float], int | None], near: Callable[[], float], factor: float
 ) -> float:
-    """Factor on sizes whose number is the nearest of those that are tried; 1 if all fail.
+    """The factor on sizes, of those that are tried, whose number is nearest; 1 if all fail.
 
     Parameters
     ----------

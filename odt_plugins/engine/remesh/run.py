@@ -58,8 +58,8 @@ ATTEMPTS = 4
 """Most times within one part; each holds the input around what those before spoiled."""
 
 HALVINGS, FINER = 2, 1.5
-"""Most times that sizes are looked for between some that gave way and those with which figures
-fell, and multiple of the cells of these up to which they are near enough."""
+"""Most times that sizes between coarse ones, with which figures fell, and finer ones are tried, and
+multiple of the cells of the coarse ones from which on it is worth it."""
 
 HARDLY_COARSER = 0.7
 """Part of the vertices of the input from which on good triangles may become fewer, as poor ones do
@@ -141,7 +141,8 @@ def remesh(mesh: SimplexMesh, options: Options, leaving: Leaving, wish: Wish) ->
 
 
 def _towards(
-    goal: Goal, mesh: SimplexMesh, sizes: Sizes, options: Options, tries: Any
+    goal: Goal, mesh: SimplexMesh, sizes: Sizes, options: Options,
+    tries: Callable[[Sizes, Course], tuple[Outcome, Attempt | None]],
 ) -> Outcome:
     """A mesh with about so many cells or vertices.
 
@@ -151,14 +152,18 @@ def _towards(
     held: list[tuple[float, float, Made]] = []
     best: list[Outcome] = []
     known: Attempt | None = None
+    spent = 0.0
 
     def resized(factor: float) -> int | None:
-        scaled = sizes.scaled(factor)
+        nonlocal spent
+        scaled, clock = sizes.scaled(factor), time.perf_counter()
         tick = partial(part(options.progress or silent, 0.0, 0.4), "resizing")
         try:
             made = _resized(_first(mesh, scaled, options), scaled.values, options, tick)
         except InvalidMeshError:
             return None
+        finally:
+            spent += time.perf_counter() - clock
         off = goal.off(made[0].outcome)
         if not held or off < held[0][0]:
             held[:] = [(off, factor, made)]
@@ -181,6 +186,8 @@ def _towards(
         factor = factor_towards(goal, resized, lambda: NEAR, factor)
     factor_towards(goal, kept, lambda: ROUGHLY if known else NEAR, factor)
     outcome = best[0]
+    if mesh.dim == 3:
+        outcome = replace(outcome, times=sums(outcome.times, {"resizing": spent}))
     if goal.off(outcome) > NEAR:
         note = (f"{goal.count(outcome)} {goal.what} are as near to the {goal.number} asked for as "
                 "the promise allows")
@@ -325,7 +332,8 @@ def _tries(
             outcome, broken = _once(attempt, sizes.values, options, leaving, course.room, made)
             made = None
             if broken is None:
-                if coarse is not None and known is None and attempt.mesh is coarse.mesh:
+                if (coarse is not None and known is None and attempt.mesh is coarse.mesh
+                        and attempt.sizes is not coarse.sizes):
                     attempt, outcome = _less_fine(attempt, outcome, coarse, lambda other: _once(
                         other, sizes.values, options, leaving, course.room, None))
                 return (_explained(mesh, attempt, outcome, stays=slides and share == 0.0),
@@ -347,7 +355,7 @@ def _less_fine(
 ) -> tuple[Attempt, Outcome]:
     """An attempt that kept the promise, or one with sizes nearer to coarse ones that does, too.
 
-    Sizes are halved between them while they make FINER times as many cells.
+    The geometric mean of both is tried while the finer ones make FINER times as many cells.
     """
     for _ in range(HALVINGS):
         if len(found.cells) <= FINER * coarse.cells:

@@ -21,7 +21,7 @@ MANY = 100
 
 MOST_GIVEN, MOST_GIVEN_ROUGH = 10, 2
 """Largest multiple of the triangles that are expected, or of those there are, for which sizes give
-way to tracks and to short edges; on a rough surface."""
+way to tracks and to short edges; the second is that of a rough surface."""
 
 SHORTENED = (0.0, *(2.0**-k for k in range(16, -1, -1)))
 """Parts of a size that tracks count as at least; the least for which not too many come is taken."""

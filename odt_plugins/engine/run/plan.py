@@ -50,7 +50,10 @@ def run(
         return run_once(mesh, options, leaving, within)[0]
     within = within._replace(without=frozenset(), fresh=None, part=1.0)
     once = partial(run_once, leaving=leaving, within=within)
-    outcome = run_sliding(mesh, options, once) if within.whole is None else once(mesh, options)[0]
+    # sizes of a metric that a surface cannot have make a poor tail, which a fixed one has as well
+    tail = within.sized is None or not len(mesh.metric)
+    outcome = (once(mesh, options)[0] if within.whole is not None
+               else run_sliding(mesh, options, once, tail=tail))
     (options.progress or silent)("finishing", 1.0)
     return outcome
 

@@ -20,11 +20,14 @@ Once = Callable[[SimplexMesh, Options], tuple[Outcome, IntArray]]
 """All stages, once; also the surface vertices at which a surface that slid is spoiled."""
 
 
-def run_sliding(mesh: SimplexMesh, options: Options, once: Once) -> Outcome:
+def run_sliding(
+    mesh: SimplexMesh, options: Options, once: Once, *, tail: bool = True
+) -> Outcome:
     """Runs from the input on until a surface that slid keeps the promise, at last without.
 
-    Where stage 1 failed, where flat cells are left and where it costs little, the boundary is
-    fixed in another run, and the better of the two is handed back.
+    Where stage 1 failed, where it costs little and, if the ``tail`` of the quality counts, where
+    flat cells are left, the boundary is fixed in another run, and the better of the two is handed
+    back.
     """
     outcome, spoiled = once(mesh, in_turn(options, 0))
     fixed = mesh.fixed.copy()
@@ -39,7 +42,7 @@ def run_sliding(mesh: SimplexMesh, options: Options, once: Once) -> Outcome:
         left_alone = int((fixed & ~mesh.fixed).sum())
         more = {"surface vertices left alone": left_alone} if left_alone else {}
         outcome = replace(outcome, counts=outcome.counts | more, times=dict(times))
-        if not _may_be_beaten(outcome, options):
+        if not _may_be_beaten(outcome, options, tail=tail):
             return outcome
     last = in_turn(options, POLICY.slide_retreats + 1)
     still, _ = once(mesh, replace(last, boundary="fixed"))
@@ -53,17 +56,15 @@ def run_sliding(mesh: SimplexMesh, options: Options, once: Once) -> Outcome:
     return replace(still, fallback=f"the boundary is left as it is; {reasons}", times=dict(times))
 
 
-def _may_be_beaten(outcome: Outcome, options: Options) -> bool:
-    """Whether a fixed boundary is worth a run of its own beside a surface that slid.
-
-    In a metric a poor tail is no sign that it is: sizes that the surface cannot have make one.
-    """
+def _may_be_beaten(outcome: Outcome, options: Options, *, tail: bool) -> bool:
+    """Whether a fixed boundary is worth a run of its own beside a surface that slid."""
     if not options.finish:
         return False
     few, alone = len(outcome.cells) < POLICY.few_cells, f"runs of {ALONE}" in outcome.counts
-    if few or alone or len(outcome.metric):
+    if few or alone or not tail:
         return few or alone
-    return figures(outcome.points, outcome.cells).p1_quality < POLICY.poor_quality
+    seen = as_seen(outcome.points, outcome.cells, outcome.metric)
+    return figures(*seen).p1_quality < POLICY.poor_quality
 
 
 def _score(outcome: Outcome, options: Options) -> float:

@@ -1,5 +1,6 @@
 """Numbers of cells: aimed at by resizing alone, before a mesh is finished and judged."""
 
+import time
 from dataclasses import replace
 
 import boxes
@@ -12,8 +13,9 @@ from odt_plugins.engine.remesh import run
 from odt_plugins.engine.remesh.number import NEAR, Goal, factor_towards, goal_of
 from odt_plugins.engine.remesh.sizes import wanted_sizes
 from odt_plugins.engine.remesh.wish import Wish
-from odt_plugins.engine.run import retreat
+from odt_plugins.engine.run import plan, retreat
 from odt_plugins.engine.run.outcome import unchanged
+from odt_plugins.engine.run.within import Within
 from odt_plugins.mesh.simplex import simplex_mesh
 from odt_plugins.options import Options
 
@@ -66,6 +68,31 @@ def test_a_number_is_met_by_one_mesh_that_is_finished(monkeypatch, what):
     assert len(finished) <= 2
 
 
+@pytest.mark.parametrize("sized", [False, True])
+@pytest.mark.parametrize("stretched", [False, True])
+def test_a_poor_tail_counts_but_where_a_metric_gave_other_sizes(monkeypatch, sized, stretched):
+    tails = []
+    monkeypatch.setattr(plan, "run_sliding", lambda mesh, options, once, *, tail: tails.append(
+        tail) or unchanged(mesh, ""))
+    mesh = simplex_mesh(*boxes.box(3, 3))[0]
+    if stretched:
+        mesh = replace(mesh, metric=np.zeros((len(mesh.points), 6)))
+    plan.run(mesh, Options(boundary="slide"), within=Within(sized=mesh if sized else None))
+    assert tails == [not (sized and stretched)]
+
+
+def test_the_time_in_which_sizes_are_found_is_told(monkeypatch):
+    resized = run._resized
+
+    def slow(*how):
+        time.sleep(0.1)
+        return resized(*how)
+
+    monkeypatch.setattr(run, "_resized", slow)
+    _, report = odt_plugins.remesh_with_report(boxes.box(3, 3), cells=500, threads=1)
+    assert report.times["resizing"] >= 0.1
+
+
 def test_an_input_nearer_to_the_number_does_not_stand_for_a_mesh_that_was_made():
     mesh = simplex_mesh(*boxes.box(3, 3))[0]
     goal, options = len(mesh.cells) + 5, Options(boundary="slide")
@@ -81,12 +108,13 @@ def test_an_input_nearer_to_the_number_does_not_stand_for_a_mesh_that_was_made()
         made.cells)
 
 
+@pytest.mark.parametrize("tail", [False, True])
 @pytest.mark.parametrize("columns", [0, 6])
-def test_a_poor_tail_in_a_metric_is_no_reason_for_a_fixed_boundary(columns):
+def test_a_poor_tail_is_reason_for_a_fixed_boundary_where_it_counts(columns, tail):
     points, cells = ball(900, 3)
     points = points * [1.0, 1.0, 0.02]
     mesh = simplex_mesh(points, cells)[0]
     outcome = replace(unchanged(mesh, ""), metric=np.zeros((len(points) if columns else 0,
                                                             columns)))
     assert len(cells) > 3000
-    assert retreat._may_be_beaten(outcome, Options()) is (columns == 0)
+    assert retreat._may_be_beaten(outcome, Options(), tail=tail) is tail
