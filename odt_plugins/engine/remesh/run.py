@@ -149,10 +149,9 @@ def _towards(
     Tetrahedra are resized until their number is about right before a mesh is finished and judged;
     what that changes is corrected then.
     """
-    held: list[tuple[float, float, Made]] = []
-    best: list[Outcome] = []
+    nearest: dict[float, Made] = {}
+    best, spent = unchanged(mesh, ""), 0.0
     known: Attempt | None = None
-    spent = 0.0
 
     def resized(factor: float) -> int | None:
         nonlocal spent
@@ -165,34 +164,33 @@ def _towards(
         finally:
             spent += time.perf_counter() - clock
         off = goal.off(made[0].outcome)
-        if not held or off < held[0][0]:
-            held[:] = [(off, factor, made)]
+        if all(off < goal.off(other.outcome) for other, _ in nearest.values()):
+            nearest.clear()
+            nearest[factor] = made
         return goal.count(made[0].outcome)
 
     def kept(factor: float) -> int | None:
-        nonlocal known
-        made = held.pop()[2] if held and held[0][1] == factor else None
+        nonlocal best, known
         outcome, last = tries(sizes.scaled(factor), Course(
-            lambda found: min(MORE, goal.number / goal.count(found) - 1.0), known, made,
-            brief=factor != 1.0))
+            lambda found: min(MORE, goal.number / goal.count(found) - 1.0), known,
+            nearest.pop(factor, None), brief=factor != 1.0))
         known = known or last
-        if not best or (outcome.origin is not None and (
-                best[0].origin is None or goal.off(outcome) < goal.off(best[0]))):
-            best[:] = [outcome]
+        if best.origin is None or (
+                outcome.origin is not None and goal.off(outcome) < goal.off(best)):
+            best = outcome
         return None if outcome.origin is None else goal.count(outcome)
 
     factor = 1.0
     if mesh.dim == 3:
         factor = factor_towards(goal, resized, lambda: NEAR, factor)
     factor_towards(goal, kept, lambda: ROUGHLY if known else NEAR, factor)
-    outcome = best[0]
     if mesh.dim == 3:
-        outcome = replace(outcome, times=sums(outcome.times, {"resizing": spent}))
-    if goal.off(outcome) > NEAR:
-        note = (f"{goal.count(outcome)} {goal.what} are as near to the {goal.number} asked for as "
+        best = replace(best, times=sums(best.times, {"resizing": spent}))
+    if goal.off(best) > NEAR:
+        note = (f"{goal.count(best)} {goal.what} are as near to the {goal.number} asked for as "
                 "the promise allows")
-        outcome = replace(outcome, notes=(note, *outcome.notes))
-    return outcome
+        best = replace(best, notes=(note, *best.notes))
+    return best
 
 
 def _triangles(
