@@ -53,7 +53,7 @@ class Block:
                                       mesh.stays, mesh.lines, mesh.body, mesh.metric]
         arrays += [a for a in (self.within.cut, self.within.fresh) if a is not None]
         if ground is not None:
-            arrays += [ground.points, ground.cells, ground.lines]
+            arrays += [ground.points, ground.cells, ground.lines, ground.metric]
         return sum(a.nbytes for a in arrays) + (0 if self.density is None else self.density.nbytes)
 
 

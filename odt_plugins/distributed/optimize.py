@@ -29,7 +29,7 @@ from odt_plugins.engine.topology.part import rings
 from odt_plugins.errors import InvalidOptionError
 from odt_plugins.mesh.arrays import BoolArray, IntArray
 from odt_plugins.mesh.numbering import most_vertices, without_removed
-from odt_plugins.mesh.seen import as_seen
+from odt_plugins.mesh.seen import NO_METRIC, as_seen
 from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.options import Options
 from odt_plugins.progress import part, silent
@@ -232,7 +232,8 @@ def _on_ground(before: SimplexMesh, now: SimplexMesh) -> SimplexMesh:
     fixed[before.lines] = True
     cells = before.cells if before.is_surface else boundary_facets(before.cells)
     nowhere = np.zeros(len(cells), dtype=np.int32)
-    ground = SimplexMesh(before.points, cells, nowhere, before.fixed, lines=before.lines)
+    ground = SimplexMesh(before.points, cells, nowhere, before.fixed, lines=before.lines,
+                         metric=before.metric if before.is_surface else NO_METRIC)
     return replace(now, fixed=fixed, ground=ground)
 
 

@@ -64,7 +64,8 @@ class SimplexMesh:
     valid_before : (points, cells) or None   of a mesh that was untangled, the valid cells it had: a
                                              figure may be as bad as with these, too
     ground : SimplexMesh or None             of a mesh whose surface has slid before, the surface
-                                             that it slides on, with its feature lines
+                                             that it slides on, with its feature lines; of a curved
+                                             surface with the metric at its vertices
     body : (l,) int32                        body of every region; facets between regions of one
                                              body stay too, but their vertices may move. Empty where
                                              every region is a body

@@ -37,6 +37,7 @@ from odt_plugins.engine.run.within import Within
 from odt_plugins.engine.topology import coloring
 from odt_plugins.errors import InvalidMeshError, InvalidOptionError
 from odt_plugins.mesh.simplex import SimplexMesh, simplex_mesh
+from odt_plugins.mesh.surface import surface_mesh
 from odt_plugins.options import Options
 from odt_plugins.promise.volume import broken_promises
 from odt_plugins.roundtrip import optimized
@@ -327,6 +328,19 @@ def test_the_metric_moves_with_the_vertices(small_blocks):
     rows = np.zeros((len(mesh.points), 6))
     rows[:, 5] = 0.3 * mesh.points[:, 2]
     outcome = run_blocks(replace(mesh, metric=rows), Options(), 3, 2, map)
+    assert np.abs(outcome.points - mesh.points).max() > 0.01
+    assert outcome.metric[:, 5] == pytest.approx(0.3 * outcome.points[:, 2], abs=1e-12)
+
+
+def test_the_metric_of_a_curved_surface_moves_with_the_vertices(small_blocks):
+    """After two rounds it is the one of the places of the input where they are."""
+    points, cells = surface_meshes.sphere(3)
+    away = points + np.random.default_rng(0).normal(scale=0.03, size=points.shape)
+    mesh = surface_mesh(away / np.linalg.norm(away, axis=1)[:, None], cells)
+    rows = np.zeros((len(mesh.points), 6))
+    rows[:, 5] = 0.3 * mesh.points[:, 2]
+    outcome = run_blocks(replace(mesh, metric=rows), Options(envelope=0.01), 3, 2, map)
+    assert outcome.fallback is None, "the second round was given up"
     assert np.abs(outcome.points - mesh.points).max() > 0.01
     assert outcome.metric[:, 5] == pytest.approx(0.3 * outcome.points[:, 2], abs=1e-12)
 

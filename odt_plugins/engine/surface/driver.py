@@ -43,7 +43,7 @@ from odt_plugins.engine.topology.frame import Frame, callers_vertices
 from odt_plugins.engine.topology.star import vertex_stars
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.mesh.facets import row_keys
-from odt_plugins.mesh.seen import as_seen
+from odt_plugins.mesh.seen import as_seen, in_unit
 from odt_plugins.mesh.simplex import SimplexMesh, diagonal
 from odt_plugins.mesh.surface import Edges, surface_edges
 from odt_plugins.objectives import AIMS, Objective
@@ -405,9 +405,10 @@ def _build(
         (POLICY.surface_guard * options.envelope * length) ** 2, (slack * length) ** 2,
         math.cos(math.radians(POLICY.surface_turn)),
     )
-    between = options.envelope * length
+    between, metric = options.envelope * length, start.metric
     if mesh.ground is not None:
         ground = earlier_ground(mesh.ground, frame.inside(mesh.ground.points))
+        metric = in_unit(mesh.ground.metric, frame.scale)
         sheet = laid_on(sheet, ground, limits.distance)
         between *= 2.0  # both surfaces are within the envelope of the ground
     locked = np.ones(len(mesh.points), dtype=np.bool_)
@@ -419,7 +420,7 @@ def _build(
     )
     surface = Surface(
         sheet._replace(points=start.seen), Guards(ground, features.lines, limits), start.regions,
-        np.ascontiguousarray(start.metric.T),
+        np.ascontiguousarray(metric.T),
     )
     return surface, features, kept
 
