@@ -17,7 +17,8 @@ Conventions
   tetrahedra with `boundary="slide"`.
 - No figure in `keep` gets worse: by default least, 1 % and mean quality and both extreme angles.
 - Lengths are in the caller's unit; tolerances are relative to the mesh.
-- The same input and options give the same bits, with any number of threads.
+- The same input and options give the same bits, with any number of threads; what TetWild makes
+  differs from run to run.
 """
 
 from __future__ import annotations

@@ -248,7 +248,7 @@ def _start(mesh: SimplexMesh, options: Options) -> tuple[Whole, Options, float]:
     named = isinstance(spec, str)
     if isinstance(spec, NodalDensity):
         values, power, spec = spec.values, spec.power, "keep" if spec.keeps else "uniform"
-    elif named and spec == "curvature":
+    elif named and spec == "curvature" and mesh.is_surface:
         values, named, spec = surface_sizes(mesh, options), False, "uniform"
     elif spec == "keep" if named else not callable(spec):
         if not named:

@@ -534,6 +534,13 @@ def test_planar_meshes_and_small_ones_work_too(small_blocks):
     assert all(np.array_equal(x, y) for x, y in zip(a, b, strict=True))
 
 
+def test_the_curvature_of_flat_meshes_is_refused_in_blocks(small_blocks):
+    for start in (plate(400), ball(600)):
+        mesh = start.points, start.cells
+        with pytest.raises(InvalidOptionError, match="no curved surface"):
+            odt_plugins.optimize(mesh, density="curvature", blocks=3)
+
+
 def test_what_does_not_go_with_blocks_is_refused():
     start = ball(60)
     mesh = (start.points, start.cells)
