@@ -101,11 +101,12 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
         else:
             corners[order[i]] = cells
         _put(new, {name: values[i] for name, values in change.after.cell_data.items()}, order[i])
-    vertex = {name: _taken(values, slice(None)) for name, values in tables["vertex"].items()}
     points = np.asarray(change.after.points)
-    _put(vertex, dict(zip(PLACE, points.T, strict=False)), slice(None))
-    _put(vertex, change.after.point_data, slice(None))
-    replaced = {"vertex": (vertex, np.arange(len(points))), "face": (new, rows)}
+    same = np.arange(len(points))
+    vertex = {name: _taken(values, same) for name, values in tables["vertex"].items()}
+    _put(vertex, dict(zip(PLACE, points.T, strict=False)), same)
+    _put(vertex, change.after.point_data, same)
+    replaced = {"vertex": (vertex, same), "face": (new, rows)}
     pieces = [data[:start]]
     for element in elements:
         span = data[slice(*spans[element.name])]
@@ -270,7 +271,7 @@ def _type(values: NDArray[Any]) -> str:
     return found.get((kind, size), "int")
 
 
-def _taken(values: Any, rows: Any) -> Any:
+def _taken(values: Any, rows: NDArray[Any]) -> Any:
     if isinstance(values, list):
         return [values[i] for i in rows.tolist()]
     return values[rows].copy()
