@@ -15,8 +15,8 @@ from odt_plugins.adapters.formats.medit_solution import is_solution
 from odt_plugins.adapters.gmsh_files import is_group
 from odt_plugins.adapters.higher_order import HIGHER, LAGRANGE, lattice, order_of
 from odt_plugins.adapters.host import POINT_LABELS
-from odt_plugins.adapters.regions import REGION_ARRAYS
-from odt_plugins.adapters.set_labels import LARGEST, are_tags, mask_of, of_sets, within
+from odt_plugins.adapters.regions import REGION_ARRAYS, are_ids, is_known
+from odt_plugins.adapters.set_labels import LARGEST, are_few, are_tags, mask_of, of_sets, within
 from odt_plugins.errors import UnsupportedMeshError
 
 
@@ -204,7 +204,7 @@ def fitted(mesh: Any, name: str) -> tuple[Any, list[str]]:
         out.field_data = {key: value for key, value in out.field_data.items() if is_group(value)}
     if not form.blocks:
         _merge(out)
-    labels = _labels(out, form.label)
+    labels = _labels(out, form.label, some=name == "exodus")
     if form.label and not form.sets:
         labels = of_sets(out, labels)
     if name in LARGEST:
@@ -359,14 +359,24 @@ def named_groups(mesh: Any) -> dict[str, list[Any]]:
     return out
 
 
-def _labels(mesh: Any, label: str | None) -> list[NDArray[Any]] | None:
-    """Integer cell data to write as labels: the format's own array, else a known one, else any."""
+def _labels(mesh: Any, label: str | None, *, some: bool) -> list[NDArray[Any]] | None:
+    """Integer cell data to write as labels: the format's own array, else a known one, else others.
+
+    Of others those whose names tell that they are labels come first, and ids last: or not at all,
+    if `some` alone are asked for.
+    """
     def fits(values: Any) -> bool:
         parts = [np.asarray(part) for part in values]
         return all(part.ndim == 1 and part.dtype.kind in "iu" for part in parts)
 
-    there = [name for name in (label, *REGION_ARRAYS, *mesh.cell_data)
-             if name in mesh.cell_data and fits(mesh.cell_data[name])]
+    def doubt(name: str) -> int:
+        few = are_few(mesh.cell_data[name])
+        return 2 - is_known(name) - (few and not are_ids(name))
+
+    known = (label, *REGION_ARRAYS)
+    others = sorted((name for name, values in mesh.cell_data.items() if fits(values)), key=doubt)
+    there = [name for name in known if name in others]
+    there += [name for name in others if name not in known and not (some and doubt(name) == 2)]
     differ = [name for name in there if any(np.any(part) for part in mesh.cell_data[name])]
     return mesh.cell_data[(differ or there)[0]] if there else None
 

@@ -137,6 +137,11 @@ def is_known(name: str) -> bool:
     return name in REGION_ARRAYS or KNOWN.fullmatch(_plain(name)) is not None
 
 
+def are_ids(name: str) -> bool:
+    """Whether the name of an array tells that it has ids, colours, marks or the like."""
+    return NOT_REGIONS.fullmatch(_plain(name)) is not None
+
+
 def _plain(name: str) -> str:
     """A name in small letters, without anything but letters."""
     return re.sub(r"[^a-z]", "", name.lower())
@@ -157,10 +162,10 @@ def spreads(arrays: Mapping[str, NDArray[Any]], cells: NDArray[Any]) -> dict[str
     out: dict[str, Spread] = {}
     pairs = None
     for name, values in arrays.items():
-        plain, known = _plain(name), is_known(name)
+        known = is_known(name)
         whole = are_whole(values) or _are_attributes(name, values)
         whole = whole and values.shape in ((len(cells),), (len(cells), 1))
-        if not whole or not (known or NOT_REGIONS.fullmatch(plain) is None):
+        if not whole or (are_ids(name) and not known):
             continue
         if values.dtype.kind == "O":
             values = values.astype(str)

@@ -101,7 +101,7 @@ def as_sets(mesh: Any, name: str) -> tuple[Any, list[str]]:
         return mesh, []
     others = [key for key in mesh.cell_data if is_known(key)]
     label = next((key for key in (*LABELS, *others) if key in mesh.cell_data
-                  and _are_few(mesh.cell_data[key])), None)
+                  and are_few(mesh.cell_data[key])), None)
     if label is None:
         return mesh, []
     groups = {(int(value[1]), int(value[0])) for value in mesh.field_data.values()
@@ -143,7 +143,7 @@ def _free(name: str, mesh: Any) -> str:
     return next(free for free in names if free not in mesh.cell_sets)
 
 
-def _are_few(labels: list[Any]) -> bool:
+def are_few(labels: list[Any]) -> bool:
     """Whether labels are whole numbers, few of them different."""
     parts = [np.asarray(part) for part in labels]
     if not parts or not all(part.ndim == 1 and part.dtype.kind in "iu" for part in parts):
