@@ -206,7 +206,7 @@ def fitted(mesh: Any, name: str) -> tuple[Any, list[str]]:
         _merge(out)
     labels = _labels(out, form.label, some=name == "exodus")
     if form.label and not form.sets:
-        labels = of_sets(out, labels)
+        labels = of_sets(out, labels, families=labels is out.cell_data.get(FORMS["med"].label))
     if name in LARGEST:
         labels = within(out, labels, LARGEST[name])
     if not form.cells or (form.label and name not in LABELLED):

@@ -41,7 +41,9 @@ Netgen has names and tables for all numbers up to the largest.
 """
 
 
-def of_sets(mesh: Any, labels: list[NDArray[Any]] | None) -> list[NDArray[Any]] | None:
+def of_sets(
+    mesh: Any, labels: list[NDArray[Any]] | None, *, families: bool = False
+) -> list[NDArray[Any]] | None:
     """Labels whose cells without any in a dimension have those of side sets, or of their sets.
 
     A set whose cells are all those of one label gives the label its name, as a group.
@@ -50,6 +52,8 @@ def of_sets(mesh: Any, labels: list[NDArray[Any]] | None) -> list[NDArray[Any]] 
     ----------
     mesh : meshio.Mesh      with one block a type; its field data get the names
     labels : list of (m,)   of the blocks; None of none
+    families : bool         whether labels are those of MED, of which a set may have several: where
+                            the sets part the cells of a dimension each is one label
 
     Returns
     -------
@@ -64,6 +68,9 @@ def of_sets(mesh: Any, labels: list[NDArray[Any]] | None) -> list[NDArray[Any]] 
         label = np.concatenate([out[i] for i in own])
         sets = {name: np.concatenate([mask_of(members[i], sizes[i]) for i in own])
                 for name, members in mesh.cell_sets.items()}
+        several = any(len(np.unique(label[inside])) > 1 for inside in sets.values())
+        if families and several and np.array_equal(sum(sets.values()), label != 0):
+            label[:] = 0
         if not label.any():
             label = np.concatenate([np.asarray(sides[i]) for i in own])
         if not label.any():

@@ -47,3 +47,32 @@ def test_ids_are_no_blocks_of_exodus(tmp_path):
     assert len(back.cells) == 1
     ids = back.cell_data["vtkOriginalCellIds"]
     assert np.array_equal(ids, mesh.cell_data["vtkOriginalCellIds"])
+
+
+@pytest.mark.parametrize("suffix", [".su2", ".vol", ".mesh", ".bdf"])
+def test_a_group_of_several_families_of_med_is_one_label(suffix, tmp_path):
+    points, cells, _ = grid(2, 6, 1)
+    space = np.pad(points, ((0, 0), (0, 1)))
+    edges = np.concatenate([np.delete(cells, k, axis=1) for k in range(3)])
+    sides = [edges[(points[edges][:, :, axis] == place).all(axis=1)]
+             for axis, place in ((0, 0.0), (0, 1.0), (1, 0.0))]
+    lines, sizes = np.concatenate(sides), [*map(len, sides)]
+    side = np.repeat([0, 1, 2], sizes)
+    none = np.zeros(0, dtype=np.int64)
+    mesh = meshio.Mesh(space, [("triangle", cells), ("line", lines)], cell_data={
+        "cell_tags": [np.full(len(cells), -4), -1 - side]}, cell_sets={
+        "plate": [np.arange(len(cells)), none], "ends": [none, np.flatnonzero(side < 2)],
+        "foot": [none, np.flatnonzero(side == 2)]})
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DataNotKeptWarning)
+        write_file(tmp_path / f"a{suffix}", mesh)
+    back = read_file(tmp_path / f"a{suffix}")
+    label = next(back.cell_data[name][i] for name in ("su2:tag", *LABELS.values())
+                 if name in back.cell_data for i, b in enumerate(back.cells) if b.type == "line")
+    assert len(label) == len(lines)
+    assert sorted(np.unique(label, return_counts=True)[1]) == [6, 12]
+    if suffix == ".su2":
+        assert {name: sum(map(len, rows)) for name, rows in back.cell_sets.items()} == {
+            "ends": 12, "foot": 6}
+    if suffix == ".vol":
+        assert {"ends", "foot", "plate"} <= {*back.field_data}
