@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from odt_plugins.adapters.fitting import group_names, named_groups
 from odt_plugins.adapters.formats import gmsh_tables
 from odt_plugins.adapters.formats.decks import indices
+from odt_plugins.adapters.regions import are_whole
 
 FAMILIES = ("cell_tags", "point_tags")
 """Numbers of the families of MED files, which are others in another file of the same groups."""
@@ -211,7 +212,7 @@ def _same(
     one: dict[str, NDArray[Any]], two: dict[str, NDArray[Any]], *, ordered: bool
 ) -> set[str]:
     """Types of cells with the same values, in any order if need be."""
-    return {kind for kind in set(one) & set(two) if one[kind].shape == two[kind].shape
+    return {kind for kind in set(one) & set(two) if one[kind].size == two[kind].size
             and not _difference(one[kind], two[kind], ordered=ordered)}
 
 
@@ -219,10 +220,11 @@ def _renumbered(one: dict[str, NDArray[Any]], two: dict[str, NDArray[Any]]) -> b
     """Whether whole numbers tell cells of each type apart as others do, into several parts."""
     found = 0
     for kind in set(one) & set(two):
-        if one[kind].shape != two[kind].shape or {one[kind].dtype.kind, two[kind].dtype.kind} - {
-                *"biu"} or one[kind].ndim != 1:
+        both = one[kind], two[kind]
+        if any(part.dtype.kind not in "biuf" or not are_whole(part) or part.size != len(both[0])
+               for part in both):
             return False
-        old, new = (np.unique(part, return_inverse=True)[1] for part in (one[kind], two[kind]))
+        old, new = (np.unique(part.ravel(), return_inverse=True)[1] for part in both)
         pairs = np.unique(np.stack([old, new]), axis=1)
         if not len(pairs[0]) == len(np.unique(pairs[0])) == len(np.unique(pairs[1])):
             return False

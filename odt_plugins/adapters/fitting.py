@@ -16,7 +16,15 @@ from odt_plugins.adapters.gmsh_files import is_group
 from odt_plugins.adapters.higher_order import HIGHER, LAGRANGE, lattice, order_of
 from odt_plugins.adapters.host import POINT_LABELS
 from odt_plugins.adapters.regions import REGION_ARRAYS, are_ids, is_known
-from odt_plugins.adapters.set_labels import LARGEST, are_few, are_tags, mask_of, of_sets, within
+from odt_plugins.adapters.set_labels import (
+    LARGEST,
+    are_few,
+    are_tags,
+    mask_of,
+    numbers_of,
+    of_sets,
+    within,
+)
 from odt_plugins.errors import UnsupportedMeshError
 
 
@@ -360,25 +368,23 @@ def named_groups(mesh: Any) -> dict[str, list[Any]]:
 
 
 def _labels(mesh: Any, label: str | None, *, some: bool) -> list[NDArray[Any]] | None:
-    """Integer cell data to write as labels: the format's own array, else a known one, else others.
+    """Whole cell data to write as labels: the format's own array, else a known one, else others.
 
     Of others those whose names tell that they are labels come first, and ids last: or not at all,
     if `some` alone are asked for.
     """
-    def fits(values: Any) -> bool:
-        parts = [np.asarray(part) for part in values]
-        return all(part.ndim == 1 and part.dtype.kind in "iu" for part in parts)
+    arrays = {name: numbers for name, values in mesh.cell_data.items()
+              if (numbers := numbers_of(name, values)) is not None}
 
     def doubt(name: str) -> int:
-        few = are_few(mesh.cell_data[name])
-        return 2 - is_known(name) - (few and not are_ids(name))
+        return 2 - is_known(name) - (are_few(arrays[name]) and not are_ids(name))
 
     known = (label, *REGION_ARRAYS)
-    others = sorted((name for name, values in mesh.cell_data.items() if fits(values)), key=doubt)
-    there = [name for name in known if name in others]
-    there += [name for name in others if name not in known and not (some and doubt(name) == 2)]
-    differ = [name for name in there if any(np.any(part) for part in mesh.cell_data[name])]
-    return mesh.cell_data[(differ or there)[0]] if there else None
+    there = [name for name in known if name in arrays]
+    there += [name for name in sorted(arrays, key=doubt)
+              if name not in known and not (some and doubt(name) == 2)]
+    differ = [name for name in there if any(np.any(part) for part in arrays[name])]
+    return arrays[(differ or there)[0]] if there else None
 
 
 class _Pair(tuple):  # type: ignore[type-arg]
@@ -458,10 +464,12 @@ def _with_tags(mesh: Any, name: str) -> Any:
     if PHYSICAL not in mesh.cell_data and NETGEN in mesh.cell_data and any(
             map(is_group, mesh.field_data.values())):
         mesh.cell_data[PHYSICAL] = mesh.cell_data.pop(NETGEN)
-    own = next((key for key in TAGS if key in mesh.cell_data
-                and are_tags(mesh.cell_data[key])), None)
+    found = {key: numbers for key, values in mesh.cell_data.items()
+             if (numbers := numbers_of(key, values)) and are_tags(numbers)}
+    own = [key for key in TAGS if key in found]
+    own += [key for key in found if is_known(key) and are_few(found[key])]
     if PHYSICAL not in mesh.cell_data and own:
-        mesh.cell_data[PHYSICAL] = mesh.cell_data[own]
+        mesh.cell_data[PHYSICAL] = found[own[0]]
     if PHYSICAL not in mesh.cell_data:
         mesh.cell_data[PHYSICAL] = [np.zeros(len(block.data), dtype=np.int32)
                                     for block in mesh.cells]

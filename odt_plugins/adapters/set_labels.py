@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from odt_plugins.adapters.formats.decks import indices
 from odt_plugins.adapters.formats.gmsh_tables import BOOKKEEPING
-from odt_plugins.adapters.regions import REGION_ARRAYS, is_known
+from odt_plugins.adapters.regions import REGION_ARRAYS, are_whole, is_known
 
 SIDES = "exodus:side_set"
 """Labels of cells at a boundary beside those of blocks, which are 0 there."""
@@ -106,14 +106,14 @@ def as_sets(mesh: Any, name: str) -> tuple[Any, list[str]]:
     """
     if name not in SETS:
         return mesh, []
-    others = [key for key in mesh.cell_data if is_known(key)]
-    label = next((key for key in (*LABELS, *others) if key in mesh.cell_data
-                  and are_few(mesh.cell_data[key])), None)
+    found = {key: numbers for key, values in mesh.cell_data.items()
+             if (numbers := numbers_of(key, values)) and are_few(numbers)}
+    label = next((key for key in (*LABELS, *filter(is_known, found)) if key in found), None)
     if label is None:
         return mesh, []
     groups = {(int(value[1]), int(value[0])) for value in mesh.field_data.values()
               if np.shape(value) == (2,)} if label in GROUPS else set()
-    parts = [np.asarray(part) for part in mesh.cell_data[label]]
+    parts = [np.asarray(part) for part in found[label]]
     physical = label == GROUPS[0]
     given = [[mask_of(rows, len(part)) for rows, part in zip(members, parts, strict=True)]
              for title, members in mesh.cell_sets.items() if title not in BOOKKEEPING]
@@ -150,12 +150,28 @@ def _free(name: str, mesh: Any) -> str:
     return next(free for free in names if free not in mesh.cell_sets)
 
 
+def numbers_of(name: str, values: list[Any]) -> list[Any] | None:
+    """Arrays of whole numbers, also where the name of others tells that these are labels.
+
+    Those have few values, which are whole or truth values.
+    """
+    parts = [np.asarray(part) for part in values]
+    if any(part.ndim > 2 or part.size != len(part) for part in parts):
+        return None
+    if all(part.dtype.kind in "iu" for part in parts):
+        return values if all(part.ndim == 1 for part in parts) else [p.ravel() for p in parts]
+    if not is_known(name) or any(
+            part.dtype.kind not in "biuf" or not are_whole(part) for part in parts):
+        return None
+    whole = [part.ravel().astype(np.int64) for part in parts]
+    return whole if are_few(whole) else None
+
+
 def are_few(labels: list[Any]) -> bool:
-    """Whether labels are whole numbers, few of them different."""
-    parts = [np.asarray(part) for part in labels]
-    if not parts or not all(part.ndim == 1 and part.dtype.kind in "iu" for part in parts):
+    """Whether few of whole numbers are different."""
+    if not labels:
         return False
-    there, count = np.unique(np.concatenate(parts), return_counts=True)
+    there, count = np.unique(np.concatenate(labels), return_counts=True)
     cells = count.sum()
     return bool(cells and cells >= len(there) * (TWICE if len(there) <= FEW else FEW))
 
@@ -190,10 +206,9 @@ def within(mesh: Any, labels: list[NDArray[Any]] | None, largest: int) -> list[N
 
 
 def are_tags(labels: list[Any]) -> bool:
-    """Whether labels are whole numbers from 0 on that Gmsh takes for groups, some of them not 0."""
+    """Whether whole numbers are from 0 on, as Gmsh takes them for groups, and some not 0."""
     parts = [np.asarray(part) for part in labels]
-    return (all(part.ndim == 1 and part.dtype.kind in "iu" for part in parts)
-            and min((int(part.min()) for part in parts if len(part)), default=0) >= 0
+    return (min((int(part.min()) for part in parts if len(part)), default=0) >= 0
             and 0 < max((int(part.max()) for part in parts if len(part)), default=0) <= MOST)
 
 

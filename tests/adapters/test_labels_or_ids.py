@@ -37,6 +37,28 @@ def test_labels_are_written_before_ids(suffix, name, tmp_path):
     assert np.array_equal(found, np.where(places > 0.5, 5, 9))
 
 
+@pytest.mark.parametrize("kind", ["float", "truth", "column"])
+@pytest.mark.parametrize("suffix", [".msh", ".inp", *sorted(LABELS)])
+def test_labels_may_be_of_any_type(suffix, kind, tmp_path):
+    mesh = labelled((1, 0), "material")
+    values = mesh.cell_data["material"][0]
+    made = {"float": values.astype(float), "truth": values > 0, "column": values.reshape(-1, 1)}
+    mesh.cell_data["material"] = [made[kind]]
+    path, name = tmp_path / f"a{suffix}", LABELS.get(suffix, "gmsh:physical")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DataNotKeptWarning)
+        write_file(path, mesh)
+    back = read_file(path)
+    if suffix == ".inp":
+        assert {key: sum(map(len, rows)) for key, rows in back.cell_sets.items()} == {
+            "Volume0": np.sum(values == 0), "Volume1": np.sum(values)}
+        return
+    found = np.abs(np.concatenate(back.cell_data[name]))
+    places = np.concatenate([back.points[b.data].mean(axis=1)[:, 0] for b in back.cells])
+    assert len(np.unique(found[places > 0.5])) == len(np.unique(found[places < 0.5])) == 1
+    assert len(np.unique(found)) == 2
+
+
 def test_ids_are_no_blocks_of_exodus(tmp_path):
     mesh = labelled((5, 9), "material")
     del mesh.cell_data["material"], mesh.cell_data["colour"]
