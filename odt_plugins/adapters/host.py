@@ -104,8 +104,12 @@ def classes_of(
 
 
 def as_indices(values: NDArray[np.integer], like: NDArray[Any]) -> NDArray[Any]:
-    """Indices in the type of others, or in a wider one that holds all of them."""
-    kind = like.dtype if like.dtype.kind in "iuf" else np.dtype(np.int64)
+    """Indices in the type of others, or in a wider one that holds all of them.
+
+    An empty list has no type of its own.
+    """
+    own = like.dtype.kind in "iu" or (like.dtype.kind == "f" and like.size > 0)
+    kind = like.dtype if own else np.dtype(np.int64)
     most = int(values.max(initial=0))
     if kind.kind != "f" and most > np.iinfo(kind).max:
         kind = np.promote_types(kind, np.min_scalar_type(most))

@@ -216,3 +216,14 @@ def test_labels_in_a_column_beside_sets(order):
     assert out.cell_data["material"][0].shape == (len(out.cells[0].data), 1)
     assert np.array_equal(np.sort(out.point_sets["low"]),
                           np.flatnonzero(np.abs(out.points[:, 2]) < 1e-3))
+
+
+@pytest.mark.parametrize("run", [optimize, lambda mesh: remesh(mesh, scale=0.8), uniform_refine])
+def test_sets_given_as_empty_lists_remain_indices(run):
+    points, cells = boxes.box(3, 3)
+    mesh = meshio.Mesh(points, [("tetra", cells), ("triangle", walls(cells))],
+                       cell_sets={"wall": [[], [0, 1]]}, point_sets={"none": []})
+    out = run(mesh)
+    for block, rows in zip(out.cells, out.cell_sets["wall"], strict=True):
+        assert block.data[rows].shape[1] == block.data.shape[1]
+    assert len(out.points[out.point_sets["none"]]) == 0
