@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from odt_plugins.adapters import kinds as kinds_of
 from odt_plugins.adapters.apart import VTK
-from odt_plugins.adapters.formats.readers import reader_of
 from odt_plugins.adapters.legacy import write_exactly
+from odt_plugins.adapters.second_look import OLD, other_in_meshio
 from odt_plugins.errors import InvalidMeshError, MeshFileError, UnsupportedMeshError
 
 SPLIT = {2: ("vertex", 1), 4: ("line", 2)}
@@ -27,22 +27,13 @@ SPLIT = {2: ("vertex", 1), 4: ("line", 2)}
 TURNED = {8: ("quad", [0, 1, 3, 2]), 11: ("hexahedron", [0, 1, 3, 2, 4, 5, 7, 6])}
 """Pixels and voxels come as quadrilaterals and hexahedra."""
 
+OTHERS = {0: "empty cell", 6: "triangle strip", 41: "convex point set", 42: "polyhedron"}
+"""Names of cells that are not read."""
+
 POLYDATA: tuple[tuple[str, dict[int, int], int], ...] = (
     ("Verts", {1: 1}, 2), ("Lines", {2: 3}, 4), ("Polys", {3: 5, 4: 9}, 7), ("Strips", {}, 6))
 """Parts of PolyData in the order of their cell data: cell types by number of nodes, and of
 other numbers."""
-
-WORDS = {b"char": b"vtktypeint8", b"signed_char": b"vtktypeint8", b"unsigned_char": b"vtktypeuint8",
-         b"short": b"vtktypeint16", b"unsigned_short": b"vtktypeuint16", b"int": b"vtktypeint32",
-         b"unsigned_int": b"vtktypeuint32", b"long": b"vtktypeint64",
-         b"unsigned_long": b"vtktypeuint64"}
-"""Words of legacy files for which meshio knows others."""
-
-NUMBERS = re.compile(rb"^(\w[^\n\0]* )(" + b"|".join(WORDS) + rb")( \d+)?$", re.MULTILINE)
-"""Lines of legacy files that tell the type of the numbers that follow."""
-
-OLD = (b"1", b"2", b"3", b"4")
-"""Versions before 5, which programs read that do not know later ones."""
 
 
 COMPRESSORS = ("ZLib", "LZ4", "LZMA")
@@ -50,11 +41,12 @@ COMPRESSORS = ("ZLib", "LZ4", "LZMA")
 
 
 class Like(NamedTuple):
-    """What the file is, from which a mesh was read that is to be written in the same format.
+    """What the file is, from which a mesh was read that is to be written in a format of VTK.
 
     Attributes
     ----------
     path : path                   None where there is no such file
+    format : str                  one of apart.VTK, that of the file
     old : bool                    whether a legacy file is of an old version
     surface : bool                whether it holds PolyData
     title : str                   of a legacy file
@@ -66,6 +58,7 @@ class Like(NamedTuple):
     """
 
     path: Path | None = None
+    format: str = ""
     old: bool = False
     surface: bool = False
     title: str = ""
@@ -120,8 +113,9 @@ def read(path: Path, name: str) -> Grid:
 def write_and_read(path: Path, mesh: Any, name: str, binary: bool | None = None) -> tuple[Any, str]:
     """Write a mesh by VTK, and read the file again: by VTK, and by meshio.
 
-    A mesh that was read from a file of that format is written as this is: arrays keep their types,
-    names of components, units and roles, such as that of active scalars, and the file its encoding.
+    A mesh that was read from a file of VTK is written as this is: arrays keep their types, names
+    of components, units and roles, such as that of active scalars, PolyData where the format has
+    them, and a file of the same format its encoding.
 
     Parameters
     ----------
@@ -150,7 +144,7 @@ def write_and_read(path: Path, mesh: Any, name: str, binary: bool | None = None)
     sink.SetFileName(str(path))
     dataset = _polydata(mesh) if name == "vtp" or like.surface else _grid(mesh)
     if like.path is not None:
-        source = _reader(name)
+        source = _reader(like.format)
         source.SetFileName(str(like.path))
         if not _run(source):
             _as_before(dataset, source.GetOutput())
@@ -163,7 +157,7 @@ def write_and_read(path: Path, mesh: Any, name: str, binary: bool | None = None)
     if name == "vtk":
         write_exactly(path, partial(_values, dataset))
     back, _ = as_mesh(read(path, name))
-    return back, "" if name == "vtp" else _second_look(path, name, back)
+    return back, "" if name == "vtp" else other_in_meshio(path, name, back)
 
 
 def _escape(dataset: Any) -> None:
@@ -185,17 +179,19 @@ def _values(dataset: Any, home: str, name: str) -> NDArray[Any] | None:
 
 
 def _like(mesh: Any, name: str) -> Like:
-    """What the file is, from which a mesh was read that is to be one again."""
+    """What the file is, from which a mesh was read that is to be one again, or another of VTK."""
     origin = getattr(mesh, "read_from", None)
-    if origin is None or origin.format != name or not origin.unchanged:
+    if origin is None or origin.format not in VTK or not origin.unchanged:
         return Like()
+    if origin.format != name:
+        return Like(origin.path, origin.format, surface=(origin.format, name) == ("vtp", "vtk"))
     if name == "vtk":
         with origin.path.open("rb") as file:
             lines = [file.readline(300) for _ in range(20)]
         head = [line.split() for line in lines]
         version = head[0][-1] if head[0] else b""
         words = [word.upper() for line in head[2:] for word in line[:2]]
-        return Like(origin.path, version.split(b".")[0] in OLD, b"POLYDATA" in words,
+        return Like(origin.path, name, version.split(b".")[0] in OLD, b"POLYDATA" in words,
                     lines[1].strip().decode("utf-8", "replace"),
                     "Ascii" if b"ASCII" in words[:2] else "Binary")
     data = origin.path.read_bytes()
@@ -206,7 +202,7 @@ def _like(mesh: Any, name: str) -> Like:
     mode = next((mode for mode in ("Appended", "Binary", "Ascii") if mode in modes), "Binary")
     raw = re.search(rb"<AppendedData\s+encoding=\"raw\"", data)
     return Like(
-        origin.path, mode=mode, encoded=raw is None,
+        origin.path, name, mode=mode, encoded=raw is None,
         compressor=next((one for one in COMPRESSORS if f"vtk{one}Data".encode() in told), ""),
         wide=b"UInt64" in told, big=b"BigEndian" in told)
 
@@ -352,7 +348,8 @@ def as_mesh(grid: Grid) -> tuple[Any, list[str]]:
             name = kinds_of.VTK[kind]
             nodes = nodes[:, kinds_of.WEDGE] if name == "wedge" else nodes
         else:
-            msg = f"it has cells of VTK's type {kind} (first: cell {i})"
+            word = OTHERS.get(kind, f"{kind} of VTK")
+            msg = f"it has cells of type {word} (first: cell {i})"
             raise UnsupportedMeshError(msg)
         if nodes.shape[1] != (kinds_of.nodes_of(name) or nodes.shape[1]):
             msg = f"its cell {i} is of type {name} and has {width} nodes"
@@ -513,40 +510,3 @@ def _vtk(values: NDArray[Any]) -> Any:
     wide = values.astype(values.dtype.newbyteorder("="), copy=False)
     return numpy_to_vtk(np.ascontiguousarray(wide.reshape(len(wide), -1) if wide.ndim > 2
                                              else wide), deep=True)
-
-
-def _second_look(path: Path, name: str, mesh: Any) -> str:
-    """Read a file by meshio, and name what is other than VTK reads it.
-
-    In legacy files of version 5 it knows other words for some types of numbers.
-    """
-    import tempfile
-    from urllib.parse import unquote
-
-    with tempfile.TemporaryDirectory() as folder:
-        copy = path
-        if name == "vtk" and not path.read_bytes()[:40].split()[4].startswith(OLD):
-            copy = Path(folder) / path.name
-            copy.write_bytes(re.sub(NUMBERS, lambda found: b"%s%s%s" % (
-                found[1], WORDS[found[2]], found[3] or b""), path.read_bytes()))
-        try:
-            other = reader_of(name)(str(copy))
-            cells, data = other.cells_dict, other.cell_data_dict
-        # It knows less than VTK, such as arrays of text.
-        except Exception:
-            return ""
-    pairs = [("the points", other.points, mesh.points)]
-    pairs += [(f"cells of type {kind}", cells.get(kind), nodes)
-              for kind, nodes in mesh.cells_dict.items()]
-    pairs += [(f"point data {key!r}", values, mesh.point_data.get(unquote(key)))
-              for key, values in other.point_data.items()]
-    mine = mesh.cell_data_dict
-    pairs += [(f"cell data {key!r}", values, mine.get(unquote(key), {}).get(kind))
-              for key, parts in data.items() for kind, values in parts.items()]
-    return ", ".join(what for what, one, two in pairs if not _alike(np.ravel(one), np.ravel(two)))
-
-
-def _alike(one: NDArray[Any], two: NDArray[Any]) -> bool:
-    """Whether all values are the same, NaN being the same as NaN."""
-    numbers = one.dtype.kind in "fc" and two.dtype.kind in "fc"
-    return np.array_equal(one, two, equal_nan=numbers)

@@ -12,6 +12,7 @@ import pytest
 
 from odt_plugins.adapters.files import read_file, write_file
 from odt_plugins.api import optimize_file
+from odt_plugins.errors import MeshFileError
 
 pytest.importorskip("vtkmodules")
 
@@ -149,6 +150,31 @@ def test_everything_goes_through(surface, suffix, mode, compressor, wide, tmp_pa
     assert read_file(source).points.tobytes() != read_file(target).points.tobytes()
     before, after = seen(source), seen(target)
     assert after == before
+
+
+@pytest.mark.parametrize("legacy", [False, True])
+@pytest.mark.parametrize("surface", [False, True])
+def test_everything_goes_from_one_format_of_vtk_into_another(surface, legacy, tmp_path):
+    names = ["a.vtk", "b.vtp" if surface else "b.vtu"]
+    source, target = (tmp_path / name for name in (names if legacy else names[::-1]))
+    store(everything(surface), source, "Binary", "", 0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        optimize_file(source, target)
+    before, after = ({key: found[3] if type(found) is tuple else found for key, found in
+                      seen(path).items() if key not in ("file", "points")}
+                     for path in (source, target))
+    assert after == before
+
+
+def test_cells_that_are_not_read_are_named(tmp_path):
+    import pyvista
+
+    strips = pyvista.Sphere(theta_resolution=8, phi_resolution=8).strip()
+    for name in ("a.vtp", "a.vtk"):
+        strips.save(tmp_path / name)
+        with pytest.raises(MeshFileError, match=r"type triangle strip .*try a file without"):
+            read_file(tmp_path / name)
 
 
 @pytest.mark.parametrize("surface", [False, True])
