@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from odt_plugins.adapters.fitting import group_names, named_groups
 from odt_plugins.adapters.formats import gmsh_tables
 from odt_plugins.adapters.formats.decks import indices
+from odt_plugins.adapters.gmsh_files import same_names
 from odt_plugins.adapters.regions import are_whole
 
 FAMILIES = ("cell_tags", "point_tags")
@@ -51,7 +52,8 @@ def not_kept(mesh: Any, back: Any) -> list[str]:
         what = kind.replace("_", " ")
         gone = set(old) - set(new) - set(gmsh_tables.BOOKKEEPING)
         if kind in ("field_data", "cell_sets"):
-            gone -= groups
+            gone -= groups.union(*(tags for tags in same_names(mesh.field_data)
+                                   if next(iter(tags)) in groups))
         if kind == "cell_sets":
             gone -= named
         if set(mesh.cell_sets) <= {*back.cell_sets, *back.cell_data, *named}:

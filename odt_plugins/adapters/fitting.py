@@ -12,7 +12,7 @@ from odt_plugins.adapters.formats.decks import indices
 from odt_plugins.adapters.formats.gmsh_tables import BOOKKEEPING, ENTITY, PHYSICAL
 from odt_plugins.adapters.formats.med_families import with_families
 from odt_plugins.adapters.formats.medit_solution import is_solution
-from odt_plugins.adapters.gmsh_files import is_group
+from odt_plugins.adapters.gmsh_files import is_group, same_names
 from odt_plugins.adapters.higher_order import HIGHER, LAGRANGE, lattice, order_of
 from odt_plugins.adapters.host import POINT_LABELS
 from odt_plugins.adapters.regions import REGION_ARRAYS, are_ids, is_known
@@ -237,6 +237,7 @@ def fitted(mesh: Any, name: str) -> tuple[Any, list[str]]:
     if name == "hmf" and len(out.cells) > 1:
         out.cell_data = {}
     if name == "su2":
+        _one_marker(out)
         _as_written(out)
     if name in ("obj", "off", "ugrid", "wkt") and out.points.shape[1] == 2:
         out.points = np.pad(out.points, ((0, 0), (0, 1)))
@@ -354,16 +355,20 @@ def _points_of(mesh: Any) -> dict[str, NDArray[np.int64]]:
 
 
 def named_groups(mesh: Any) -> dict[str, list[Any]]:
-    """Cell sets of the named groups of Gmsh and Netgen, as their labels tell them."""
+    """Cell sets of the named groups of Gmsh and Netgen, as their labels tell them.
+
+    Groups of one dimension that have the same name in their file are one set.
+    """
     groups = mesh.cell_data.get(PHYSICAL, mesh.cell_data.get(NETGEN))
     if groups is None:
         return {}
     out = {}
-    for name, value in mesh.field_data.items():
-        if is_group(value):
-            out[name] = [np.flatnonzero(np.asarray(group) == value[0]) if block.dim == value[1]
-                         else np.zeros(0, dtype=np.int64)
-                         for block, group in zip(mesh.cells, groups, strict=True)]
+    for tags in same_names(mesh.field_data):
+        title = next(iter(tags))
+        dim = mesh.field_data[title][1]
+        out[title] = [np.flatnonzero(np.isin(np.asarray(group), [*tags.values()]))
+                      if block.dim == dim else np.zeros(0, dtype=np.int64)
+                      for block, group in zip(mesh.cells, groups, strict=True)]
     return out
 
 
@@ -395,6 +400,21 @@ class _Pair(tuple):  # type: ignore[type-arg]
 
     def __len__(self) -> int:
         return len(self[1])
+
+
+def _one_marker(mesh: Any) -> None:
+    """Give cells at the boundary whose groups have the same name the number of the first."""
+    labels = mesh.cell_data.get(FORMS["su2"].label)
+    dim = max((block.dim for block in mesh.cells), default=0) - 1
+    for tags in same_names(mesh.field_data) if labels else ():
+        title, *others = tags
+        if others and mesh.field_data[title][1] == dim:
+            mesh.cell_data[FORMS["su2"].label] = labels = [
+                np.where(np.isin(part, [*tags.values()]), tags[title], part)
+                if block.dim == dim else part
+                for block, part in zip(mesh.cells, labels, strict=True)]
+            for other in others:
+                del mesh.field_data[other]
 
 
 def _as_written(mesh: Any) -> None:

@@ -125,6 +125,16 @@ def is_group(value: Any) -> bool:
     return array.shape == (2,) and array.dtype.kind in "iu" and 0 <= array[1] <= 3
 
 
+def same_names(groups: dict[str, Any]) -> list[dict[str, int]]:
+    """Titles and tags of the groups of one dimension and one name in their file."""
+    found: dict[tuple[str, int], dict[str, int]] = {}
+    for title, value in groups.items():
+        if is_group(value):
+            key = plain(title, groups), int(value[1])
+            found.setdefault(key, {})[title] = int(value[0])
+    return list(found.values())
+
+
 def _groups(names: Any, groups: Any, sets: Any, dim: int, k: int) -> list[int]:
     """Tags of the physical groups of a block: its label, and the sets that hold all its cells."""
     out = [] if groups is None or not len(groups[k]) or not groups[k][0] else [int(groups[k][0])]
