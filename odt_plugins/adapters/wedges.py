@@ -32,8 +32,8 @@ TEXTURE = "texcoord"
 NAMES = re.compile(r"(?i)(off:)?texture([ _]?coordinates)?|tcoords")
 """Names of arrays of the texture coordinates of vertices."""
 
-PAIRS = (("s", "t"), ("texture_u", "texture_v"))
-"""Names of two arrays of them, as PLY files have."""
+PAIRS = (("s", "t"), ("texture_u", "texture_v"), ("u", "v"))
+"""Names of two arrays of them, as PLY files have; beside w, u and v are components of a vector."""
 
 
 def charts(
@@ -153,7 +153,8 @@ def _on_surface(
 
 def of_vertices(data: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
     """Point data that are texture coordinates (n, c) by their names, as files have these."""
-    pairs = [name for pair in PAIRS if all(name in data for name in pair) for name in pair]
+    pairs = [name for pair in PAIRS if all(name in data for name in pair)
+             and not (pair == PAIRS[2] and "w" in data) for name in pair]
     names = [name for name in data if name in pairs or NAMES.fullmatch(name)]
     found = {name: np.asarray(data[name]) for name in names}
     return {name: values.reshape(len(values), -1) for name, values in found.items()

@@ -12,7 +12,7 @@ from odt_plugins.adapters.files import read_file, write_file
 from odt_plugins.api import optimize_file
 
 NAMES = [("off:texture",), ("Texture Coordinates",), ("TCoords",), ("s", "t"),
-         ("texture_u", "texture_v")]
+         ("texture_u", "texture_v"), ("u", "v")]
 
 
 def sheet(names):
@@ -38,6 +38,13 @@ def test_they_follow_the_surface(regions, names):
     assert np.array_equal(better.point_data["own"], mesh.point_data["own"])
     finer = odt_plugins.remesh(mesh, scale=0.8, regions=regions)
     np.testing.assert_allclose(texture_of(finer, names), finer.points[:, :2], atol=1e-12)
+
+
+def test_components_of_a_vector_are_none():
+    mesh = sheet(("u", "v"))
+    mesh.point_data["w"] = mesh.points[:, 2].copy()
+    better = odt_plugins.optimize(mesh, keep=())
+    assert all(np.array_equal(better.point_data[name], mesh.point_data[name]) for name in "uvw")
 
 
 @pytest.mark.parametrize(("suffix", "names"), [(".off", NAMES[0]), (".ply", NAMES[3]),
