@@ -73,6 +73,8 @@ def not_kept(mesh: Any, back: Any) -> list[str]:
             other = next((n for n in others if same[n] == set(others[n])), None)
             best = other or max(others, key=lambda n: len(same[n]), default="")
             kept = same[best] if best else set()
+            # Zeros alone are those of any array.
+            kept = kept if other or any(values[key].any() for key in kept) else set()
             if kept:
                 gone.discard(name)
                 renamed.append(f"the name of {what} {name!r} (there {best!r})")

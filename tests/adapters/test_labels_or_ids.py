@@ -120,3 +120,14 @@ def test_groups_of_one_name_are_one_set(suffix, label, tmp_path):
     found = {name: sum(map(len, rows)) for name, rows in back.cell_sets.items()}
     sizes = {"wall": len(index) - len(sides[1]), "inlet": len(sides[1])}
     assert found == (sizes if suffix == ".su2" else sizes | {"steel": len(cells)})
+
+
+def test_zeros_alone_are_no_array_that_came_back(tmp_path):
+    mesh = labelled((5, 9), "material")
+    m, none = len(mesh.cells[0].data), np.zeros(1, dtype=np.int64)
+    mesh.cells.append(meshio.CellBlock("triangle", mesh.cells[0].data[:1, :3]))
+    mesh.cell_data = {"material": [mesh.cell_data["material"][0], none],
+                      "chosen": [np.arange(m) % 3 // 2, none], "nothing": [np.zeros(m, int), none]}
+    with pytest.warns(DataNotKeptWarning) as told:
+        write_file(tmp_path / "a.mesh", mesh)
+    assert "cell data 'chosen', 'nothing', the name of cell data 'material'" in str(told[0].message)
