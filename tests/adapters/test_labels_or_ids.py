@@ -131,3 +131,20 @@ def test_zeros_alone_are_no_array_that_came_back(tmp_path):
     with pytest.warns(DataNotKeptWarning) as told:
         write_file(tmp_path / "a.mesh", mesh)
     assert "cell data 'chosen', 'nothing', the name of cell data 'material'" in str(told[0].message)
+
+
+def test_groups_of_med_are_several_whose_names_are_one_at_their_start(tmp_path):
+    mesh = labelled((5, 9), "cell_tags")
+    first, second = np.flatnonzero(mesh.cell_data["cell_tags"][0] == 5), np.arange(7)
+    mesh.cell_sets = {90 * "a" + "1": [first], 90 * "a" + "2": [second]}
+    with pytest.warns(DataNotKeptWarning):
+        write_file(tmp_path / "a.med", mesh)
+    back = read_file(tmp_path / "a.med").cell_sets
+    assert {name: len(rows[0]) for name, rows in back.items() if name[0] == "a"} == {
+        80 * "a": len(first), 78 * "a" + "_2": len(second)}
+    mesh.cell_sets = {"9": [first]}
+    with pytest.warns(DataNotKeptWarning):
+        write_file(tmp_path / "a.med", mesh)
+    back = read_file(tmp_path / "a.med").cell_sets
+    assert {name: len(rows[0]) for name, rows in back.items()} == {
+        "9": len(first), "9_2": len(mesh.cells[0].data) - len(first)}

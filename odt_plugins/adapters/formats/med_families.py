@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Container, Sequence
+from itertools import chain, count
 from typing import Any
 
 import numpy as np
@@ -69,9 +71,11 @@ def _families(
     """Number (n,) of the family of everything, 0 of what is in none, and groups of every family."""
     table = np.stack([label, *sets.values()], axis=1).astype(np.int64)
     choices, inverse = np.unique(table, axis=0, return_inverse=True)
-    cut = [name.encode()[:LONGEST].decode(errors="ignore") for name in sets]
+    cut: list[str] = []
+    for name in sets:
+        cut.append(_free(name, cut, sets))
     names = [[name for name, inside in zip(cut, row[1:], strict=True) if inside]
-             or [str(row[0])] * bool(row[0]) for row in choices.tolist()]
+             or [_free(str(row[0]), cut, sets)] * bool(row[0]) for row in choices.tolist()]
     whole = np.abs(choices[:, 0])
     same = len(np.unique(whole)) == len(whole) and (whole[[bool(own) for own in names]] > 0).all()
     numbers, fresh = np.zeros(len(choices), dtype=np.int64), 0
@@ -81,3 +85,11 @@ def _families(
             numbers[i] = whole[i] if same else fresh
     groups = {int(number): own for number, own in zip(numbers, names, strict=True) if own}
     return numbers[inverse.ravel()], groups
+
+
+def _free(name: str, taken: Sequence[str], names: Container[str]) -> str:
+    """A name that is not taken and short enough; one that is made is none of ``names``."""
+    numbered = chain([""], (f"_{k}" for k in count(2)))
+    titles = (name.encode()[: LONGEST - len(end)].decode(errors="ignore") + end for end in numbered)
+    return next(title for title in titles
+                if title not in taken and (title == name or title not in names))
