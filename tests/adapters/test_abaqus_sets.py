@@ -162,3 +162,21 @@ def test_sets_that_differ_in_capitals_alone_have_two_names(tmp_path):
     sizes = {name: sum(map(len, members)) for name, members in back.cell_sets.items()}
     assert sizes == {"BODY": left.sum(), "body_2": (~left).sum()}
     assert {name: list(nodes) for name, nodes in back.point_sets.items()} == {"A": [0], "a_2": [1]}
+
+
+def test_names_that_abaqus_does_not_read_are_others(tmp_path):
+    points, cells = box(3, 2)
+    titles = {'say "hi"': "say _hi_", "two\nlines": "two_lines", 90 * "a": 80 * "a",
+              90 * "a" + "2": 78 * "a" + "_2", "plain name": "plain name"}
+    mesh = meshio.Mesh(points, [("tetra", cells)],
+                       cell_sets={name: [np.arange(k + 1)] for k, name in enumerate(titles)},
+                       point_sets={name: np.arange(k + 1) for k, name in enumerate(titles)})
+    with pytest.warns(DataNotKeptWarning, match="point sets 'aaa.*cell sets 'aaa"):
+        write_file(tmp_path / "a.inp", mesh)
+    text = (tmp_path / "a.inp").read_text()
+    assert text.count('"') == 8
+    back = read_file(tmp_path / "a.inp")
+    assert {name: len(rows[0]) for name, rows in back.cell_sets.items()} == {
+        title: k + 1 for k, title in enumerate(titles.values())}
+    assert {name: len(rows) for name, rows in back.point_sets.items()} == {
+        title: k + 1 for k, title in enumerate(titles.values())}

@@ -13,8 +13,8 @@ import numpy as np
 from odt_plugins.adapters.formats.abaqus_tables import IN_PLANE, IN_SPACE, WORDS
 from odt_plugins.adapters.formats.decks import indices, real, refuse_types
 
-WIDEST, A_LINE = 20, 16
-"""Letters of a number and numbers on a line that Abaqus reads."""
+WIDEST, A_LINE, LONGEST = 20, 16, 80
+"""Letters of a number, numbers on a line, and letters of a name that Abaqus reads."""
 
 
 def write(path: Path, mesh: Any, binary: bool | None) -> list[str]:
@@ -56,13 +56,16 @@ def write(path: Path, mesh: Any, binary: bool | None) -> list[str]:
 def _name(name: str, taken: set[str], names: Iterable[str]) -> str:
     """Name of a set, in quotes where it begins with no letter or has letters that end one.
 
-    Small letters and capitals are the same to Abaqus: a number tells names apart, of which none
-    is one of all ``names``.
+    What ends a name in quotes becomes ``_``, and names that are too long are cut. Small letters
+    and capitals are the same to Abaqus: a number tells names apart, of which none is one of all
+    ``names``.
     """
     others = {other.upper() for other in names}
-    numbered = (f"{name}_{k}" for k in count(2))
-    title = next(title for title in chain([name], numbered) if title.upper() not in taken
-                 and (title is name or title.upper() not in others))
+    plain = re.sub(r'["\x00-\x1f]', "_", name)
+    titles = (plain[: LONGEST - len(end)] + end
+              for end in chain([""], (f"_{k}" for k in count(2))))
+    title = next(title for title in titles if title.upper() not in taken
+                 and (title == name or title.upper() not in others))
     taken.add(title.upper())
     return title if re.fullmatch(r"[^\W\d][\w.-]*", title) else f'"{title}"'
 
