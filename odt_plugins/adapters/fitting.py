@@ -19,6 +19,7 @@ from odt_plugins.adapters.regions import REGION_ARRAYS, are_ids, is_known
 from odt_plugins.adapters.set_labels import (
     LARGEST,
     are_few,
+    are_one,
     are_tags,
     mask_of,
     numbers_of,
@@ -375,14 +376,15 @@ def named_groups(mesh: Any) -> dict[str, list[Any]]:
 def _labels(mesh: Any, label: str | None, *, some: bool) -> list[NDArray[Any]] | None:
     """Whole cell data to write as labels: the format's own array, else a known one, else others.
 
-    Of others those whose names tell that they are labels come first, and ids last: or not at all,
-    if `some` alone are asked for.
+    Of others those whose names tell that they are labels come first, one number for all cells
+    later, and ids last: or not at all, if `some` alone are asked for.
     """
     arrays = {name: numbers for name, values in mesh.cell_data.items()
               if (numbers := numbers_of(name, values)) is not None}
 
-    def doubt(name: str) -> int:
-        return 2 - is_known(name) - (are_few(arrays[name]) and not are_ids(name))
+    def doubt(name: str) -> float:
+        found = 2 - is_known(name) - (are_few(arrays[name]) and not are_ids(name))
+        return max(found, 1.5) if are_one(arrays[name]) else found
 
     known = (label, *REGION_ARRAYS)
     there = [name for name in known if name in arrays]
@@ -487,7 +489,8 @@ def _with_tags(mesh: Any, name: str) -> Any:
     found = {key: numbers for key, values in mesh.cell_data.items()
              if (numbers := numbers_of(key, values)) and are_tags(numbers)}
     own = [key for key in TAGS if key in found]
-    own += [key for key in found if is_known(key) and are_few(found[key])]
+    own += sorted((key for key in found if is_known(key) and are_few(found[key])),
+                  key=lambda key: are_one(found[key]))
     if PHYSICAL not in mesh.cell_data and own:
         mesh.cell_data[PHYSICAL] = found[own[0]]
     if PHYSICAL not in mesh.cell_data:

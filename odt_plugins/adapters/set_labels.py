@@ -108,7 +108,8 @@ def as_sets(mesh: Any, name: str) -> tuple[Any, list[str]]:
         return mesh, []
     found = {key: numbers for key, values in mesh.cell_data.items()
              if (numbers := numbers_of(key, values)) and are_few(numbers)}
-    label = next((key for key in (*LABELS, *filter(is_known, found)) if key in found), None)
+    others = sorted(filter(is_known, found), key=lambda key: are_one(found[key]))
+    label = next((key for key in (*LABELS, *others) if key in found), None)
     if label is None:
         return mesh, []
     groups = {(int(value[1]), int(value[0])) for value in mesh.field_data.values()
@@ -174,6 +175,12 @@ def are_few(labels: list[Any]) -> bool:
     there, count = np.unique(np.concatenate(labels), return_counts=True)
     cells = count.sum()
     return bool(cells and cells >= len(there) * (TWICE if len(there) <= FEW else FEW))
+
+
+def are_one(labels: list[Any]) -> bool:
+    """Whether all numbers are the same."""
+    parts = [np.asarray(part) for part in labels if len(part)]
+    return len({int(end) for part in parts for end in (part.min(), part.max())}) < 2
 
 
 def within(mesh: Any, labels: list[NDArray[Any]] | None, largest: int) -> list[NDArray[Any]]:

@@ -148,3 +148,19 @@ def test_groups_of_med_are_several_whose_names_are_one_at_their_start(tmp_path):
     back = read_file(tmp_path / "a.med").cell_sets
     assert {name: len(rows[0]) for name, rows in back.items()} == {
         "9": len(first), "9_2": len(mesh.cells[0].data) - len(first)}
+
+
+@pytest.mark.parametrize("other", ["where", "region"])
+@pytest.mark.parametrize("suffix", [".msh", ".inp", *sorted(LABELS)])
+def test_one_number_for_all_cells_comes_after_labels(suffix, other, tmp_path):
+    mesh = labelled((5, 9), other)
+    mesh.cell_data = {"material": [np.full(len(mesh.cells[0].data), 3)]} | mesh.cell_data
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DataNotKeptWarning)
+        write_file(tmp_path / f"a{suffix}", mesh)
+    back = read_file(tmp_path / f"a{suffix}")
+    if suffix == ".inp":
+        assert {*back.cell_sets} == ({"Volume5", "Volume9"} if other == "region" else {"Volume3"})
+        return
+    found = np.abs(np.concatenate(back.cell_data[LABELS.get(suffix, "gmsh:physical")]))
+    assert {*found.tolist()} == ({3} if (suffix, other) == (".msh", "where") else {5, 9})
