@@ -34,6 +34,9 @@ as many."""
 MOST = 2**31 - 1
 """Largest number of 32 bits, in groups of Gmsh and labels of Nastran."""
 
+EXACT = 2**53
+"""Up to which floating-point numbers are exact, and labels."""
+
 LARGEST = {"nastran": MOST, "netgen": 99_999}
 """Formats whose tools take no labels but those from 1 on, and up to which these are.
 
@@ -162,7 +165,8 @@ def numbers_of(name: str, values: list[Any]) -> list[Any] | None:
     if all(part.dtype.kind in "iu" for part in parts):
         return values if all(part.ndim == 1 for part in parts) else [p.ravel() for p in parts]
     if not is_known(name) or any(
-            part.dtype.kind not in "biuf" or not are_whole(part) for part in parts):
+            part.dtype.kind not in "biuf" or not are_whole(part)
+            or (np.abs(part) > EXACT).any() for part in parts):
         return None
     whole = [part.ravel().astype(np.int64) for part in parts]
     return whole if are_few(whole) else None

@@ -164,3 +164,17 @@ def test_one_number_for_all_cells_comes_after_labels(suffix, other, tmp_path):
         return
     found = np.abs(np.concatenate(back.cell_data[LABELS.get(suffix, "gmsh:physical")]))
     assert {*found.tolist()} == ({3} if (suffix, other) == (".msh", "where") else {5, 9})
+
+
+@pytest.mark.parametrize("suffix", [".msh", ".inp", ".mesh", ".vol", ".e"])
+def test_numbers_that_are_too_large_are_no_labels(suffix, tmp_path):
+    mesh = labelled((1e20, 1.0), "material")
+    mesh.cell_data = {"material": mesh.cell_data["material"]}
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warnings.simplefilter("ignore", DataNotKeptWarning)
+        write_file(tmp_path / f"a{suffix}", mesh)
+    back = read_file(tmp_path / f"a{suffix}")
+    assert not back.cell_sets
+    labels = back.cell_data.get(LABELS.get(suffix, "gmsh:physical"), [np.zeros(0)])
+    assert len(np.unique(np.concatenate(labels))) <= 1
