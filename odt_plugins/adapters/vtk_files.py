@@ -147,7 +147,7 @@ def write_and_read(path: Path, mesh: Any, name: str, binary: bool | None = None)
         source = _reader(like.format)
         source.SetFileName(str(like.path))
         if not _run(source):
-            _as_before(dataset, source.GetOutput())
+            _as_before(dataset, source.GetOutput(), narrow=name == "vtk")
     if name != "vtk":
         _escape(dataset)
     sink.SetInputData(dataset)
@@ -207,8 +207,11 @@ def _like(mesh: Any, name: str) -> Like:
         wide=b"UInt64" in told, big=b"BigEndian" in told)
 
 
-def _as_before(out: Any, source: Any) -> None:
-    """Give arrays the types, names of components, information and roles of those of a dataset."""
+def _as_before(out: Any, source: Any, *, narrow: bool) -> None:
+    """Give arrays the types, names of components, information and roles of those of a dataset.
+
+    Legacy files have 32 bits for ids, too `narrow` for some: these are numbers of 64 bits there.
+    """
     from vtkmodules.vtkCommonDataModel import vtkDataSetAttributes
 
     for data, old in ((out.GetPointData(), source.GetPointData()),
@@ -219,7 +222,8 @@ def _as_before(out: Any, source: Any) -> None:
             now = data.GetAbstractArray(was.GetName() or f"array {i}")
             if now is None or now.GetNumberOfComponents() != was.GetNumberOfComponents():
                 continue
-            if now.GetClassName() != was.GetClassName() and _same_type(now, was):
+            if now.GetClassName() != was.GetClassName() and _same_type(
+                    now, was, narrow=narrow):
                 made = was.NewInstance()
                 made.DeepCopy(now)
                 data.AddArray(made)
@@ -235,16 +239,21 @@ def _as_before(out: Any, source: Any) -> None:
             active = old.GetAbstractAttribute(role)
             if active is None or not data.HasArray(active.GetName() or ""):
                 continue
-            ids = as_numpy(data.GetAbstractArray(active.GetName()))
-            if role != vtkDataSetAttributes.GLOBALIDS or len(np.unique(ids)) == len(ids):
+            ids = data.GetAbstractArray(active.GetName())
+            if role != vtkDataSetAttributes.GLOBALIDS or (
+                    ids.IsA("vtkIdTypeArray") and ids.GetNumberOfTuples() == len(
+                        np.unique(as_numpy(ids)))):
                 data.SetActiveAttribute(active.GetName(), role)
 
 
-def _same_type(now: Any, was: Any) -> bool:
+def _same_type(now: Any, was: Any, *, narrow: bool) -> bool:
     """Whether an array may become one of the class of another: of ids, or of bits."""
     if was.IsA("vtkBitArray"):
         return not now.IsA("vtkStringArray") and set(np.unique(as_numpy(now)).tolist()) <= {0, 1}
-    return bool(as_numpy(now).dtype == as_numpy(was).dtype)
+    values = as_numpy(now)
+    if narrow and was.IsA("vtkIdTypeArray") and np.abs(values).max(initial=0) >= 2**31:
+        return False
+    return bool(values.dtype == as_numpy(was).dtype)
 
 
 def _reader(name: str) -> Any:

@@ -204,3 +204,21 @@ def test_names_that_xml_does_not_take_are_others(kind, name, tmp_path):
         write_file(tmp_path / "a.vtu", mesh)
     back = read_file(tmp_path / "a.vtu")
     assert [*back.point_data, *back.cell_data] == ["_ctl" if name else "unnamed"]
+
+
+@pytest.mark.parametrize("role", ["GlobalIds", "PedigreeIds"])
+def test_large_ids_are_whole_in_legacy_files(role, tmp_path):
+    import pyvista
+    from vtkmodules.util.numpy_support import numpy_to_vtkIdTypeArray
+
+    surface = pyvista.Sphere(theta_resolution=8, phi_resolution=8)
+    ids = np.arange(surface.n_cells) + 2**40
+    array = numpy_to_vtkIdTypeArray(ids, deep=True)
+    array.SetName("ids")
+    getattr(surface.GetCellData(), f"Set{role}")(array)
+    surface.save(tmp_path / "a.vtp")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        optimize_file(tmp_path / "a.vtp", tmp_path / "b.vtk")
+    back = pyvista.read(tmp_path / "b.vtk").cell_data["ids"]
+    assert np.isin(back, ids).all()
