@@ -21,6 +21,7 @@ from odt_plugins.adapters.set_labels import (
     are_few,
     are_one,
     are_tags,
+    join_sets,
     mask_of,
     numbers_of,
     of_sets,
@@ -199,6 +200,7 @@ def fitted(mesh: Any, name: str) -> tuple[Any, list[str]]:
     if name in ("gmsh", "gmsh22"):
         return _with_tags(out, name), lost
     named = named_groups(out)
+    join_sets(out, named)
     out.gmsh_periodic = None
     for own in BOOKKEEPING if form is not EVERYTHING else BOOKKEEPING[1:]:
         out.point_data.pop(own, None)

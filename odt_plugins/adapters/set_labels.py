@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from odt_plugins.adapters.formats.decks import indices
 from odt_plugins.adapters.formats.gmsh_tables import BOOKKEEPING
+from odt_plugins.adapters.gmsh_files import same_names
 from odt_plugins.adapters.regions import REGION_ARRAYS, are_whole, is_known
 
 SIDES = "exodus:side_set"
@@ -152,6 +153,16 @@ def _free(name: str, mesh: Any) -> str:
     """The name, or that with a number, which no set of cells has."""
     names = chain([name], (f"{name}_{k}" for k in count(2)))
     return next(free for free in names if free not in mesh.cell_sets)
+
+
+def join_sets(mesh: Any, named: dict[str, list[Any]]) -> None:
+    """Give the set of a named group the cells of those whose name is the same in their file."""
+    for title, *others in same_names(mesh.field_data) if named else ():
+        given = [mesh.cell_sets.pop(other) for other in others if other in mesh.cell_sets]
+        if given:
+            parts = [named[title], mesh.cell_sets.get(title, named[title]), *given]
+            mesh.cell_sets[title] = [np.unique(np.concatenate([*map(indices, rows)]))
+                                     for rows in zip(*parts, strict=True)]
 
 
 def numbers_of(name: str, values: list[Any]) -> list[Any] | None:

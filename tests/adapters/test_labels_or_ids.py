@@ -101,7 +101,7 @@ def test_a_group_of_several_families_of_med_is_one_label(suffix, tmp_path):
 
 
 @pytest.mark.parametrize("label", ["netgen:index", "gmsh:physical"])
-@pytest.mark.parametrize("suffix", [".inp", ".e", ".med", ".su2", ".f3grid"])
+@pytest.mark.parametrize("suffix", [".inp", ".e", ".med", ".su2", ".f3grid", ".vtu"])
 def test_groups_of_one_name_are_one_set(suffix, label, tmp_path):
     points, cells, _ = grid(3, 3, 1)
     faces = np.concatenate([np.delete(cells, k, axis=1) for k in range(4)])
@@ -112,11 +112,18 @@ def test_groups_of_one_name_are_one_set(suffix, label, tmp_path):
         label: [np.full(len(cells), 1), index]}, field_data={
         "wall": np.array([1, 2]), "inlet": np.array([2, 2]), "wall (2D)": np.array([3, 2]),
         "wall (2D, 4)": np.array([4, 2]), "steel": np.array([1, 3])})
+    if "physical" in label:
+        write_file(tmp_path / "a.msh", mesh, file_format="gmsh41")
+        mesh = read_file(tmp_path / "a.msh")
+        assert len(mesh.cell_sets) >= 5
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
         write_file(tmp_path / f"a{suffix}", mesh)
     assert not any("'wall" in str(one.message) for one in told)
     back = read_file(tmp_path / f"a{suffix}")
+    if suffix == ".vtu":
+        assert {*back.cell_data} <= {label, "gmsh:geometrical"}
+        return
     found = {name: sum(map(len, rows)) for name, rows in back.cell_sets.items()}
     sizes = {"wall": len(index) - len(sides[1]), "inlet": len(sides[1])}
     assert found == (sizes if suffix == ".su2" else sizes | {"steel": len(cells)})
