@@ -33,7 +33,10 @@ NAMES = re.compile(r"(?i)(off:)?texture([ _]?coordinates)?|tcoords")
 """Names of arrays of the texture coordinates of vertices."""
 
 PAIRS = (("s", "t"), ("texture_u", "texture_v"), ("u", "v"))
-"""Names of two arrays of them, as PLY files have; beside w, u and v are components of a vector."""
+"""Names of two arrays of them, as PLY files have; u and v may be components of a vector instead."""
+
+TILE = 1.001
+"""How wide the values of u and v are around 0.5 where these are texture coordinates."""
 
 
 def charts(
@@ -154,11 +157,18 @@ def _on_surface(
 def of_vertices(data: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
     """Point data that are texture coordinates (n, c) by their names, as files have these."""
     pairs = [name for pair in PAIRS if all(name in data for name in pair)
-             and not (pair == PAIRS[2] and "w" in data) for name in pair]
+             and not (pair == PAIRS[2] and _are_components(data)) for name in pair]
     names = [name for name in data if name in pairs or NAMES.fullmatch(name)]
     found = {name: np.asarray(data[name]) for name in names}
     return {name: values.reshape(len(values), -1) for name, values in found.items()
             if values.dtype.kind == "f" and values.ndim == 2 - (name in pairs)}
+
+
+def _are_components(data: Mapping[str, Any]) -> bool:
+    """Whether u and v are of a vector: beside w, or not all from 0 to 1."""
+    parts = [np.asarray(data[name]) for name in PAIRS[2]]
+    return "w" in data or not all(part.dtype.kind == "f" and bool(
+        (np.abs(part - 0.5) <= TILE / 2).all()) for part in parts)
 
 
 def texture_of(

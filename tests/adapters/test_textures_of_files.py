@@ -47,6 +47,17 @@ def test_components_of_a_vector_are_none():
     assert all(np.array_equal(better.point_data[name], mesh.point_data[name]) for name in "uvw")
 
 
+@pytest.mark.parametrize("fields", ["auto", "keep"])
+@pytest.mark.parametrize("value", [-2.0, np.nan])
+def test_velocities_in_the_surface_are_none(value, fields):
+    mesh = sheet(("u", "v"))
+    mesh.point_data["u"][mesh.points[:, 0] > 0.5] = value
+    better = odt_plugins.optimize(mesh, keep=(), fields=fields)
+    assert not np.array_equal(better.points, mesh.points)
+    for name in "uv":
+        np.testing.assert_array_equal(better.point_data[name], mesh.point_data[name])
+
+
 @pytest.mark.parametrize(("suffix", "names"), [(".off", NAMES[0]), (".ply", NAMES[3]),
                                                (".vtp", NAMES[1]), (".vtu", NAMES[2])])
 def test_they_follow_the_surface_in_files(suffix, names, tmp_path):
