@@ -19,6 +19,7 @@ from odt_plugins.adapters.regions import REGION_ARRAYS, are_ids, is_known
 from odt_plugins.adapters.set_labels import (
     LARGEST,
     are_few,
+    are_groups,
     are_one,
     are_tags,
     join_sets,
@@ -491,7 +492,7 @@ def _with_tags(mesh: Any, name: str) -> Any:
     found = {key: numbers for key, values in mesh.cell_data.items()
              if (numbers := numbers_of(key, values)) and are_tags(numbers)}
     own = [key for key in TAGS if key in found]
-    own += sorted((key for key in found if is_known(key) and are_few(found[key])),
+    own += sorted((key for key in found if is_known(key) and are_groups(mesh, found[key])),
                   key=lambda key: are_one(found[key]))
     if PHYSICAL not in mesh.cell_data and own:
         mesh.cell_data[PHYSICAL] = found[own[0]]

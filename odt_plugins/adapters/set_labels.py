@@ -234,6 +234,16 @@ def are_tags(labels: list[Any]) -> bool:
             and 0 < max((int(part.max()) for part in parts if len(part)), default=0) <= MOST)
 
 
+def are_groups(mesh: Any, labels: list[Any]) -> bool:
+    """Whether whole numbers, few of them, are not 0 on any cell of the largest dimension.
+
+    Gmsh drops cells without a group where others have one.
+    """
+    dim = max((block.dim for block in mesh.cells), default=0)
+    return are_few(labels) and all(np.all(part) for block, part in zip(
+        mesh.cells, labels, strict=True) if block.dim == dim)
+
+
 def mask_of(members: Any, size: int) -> NDArray[np.bool_]:
     """Which of the cells of a block are members."""
     inside = np.zeros(size, dtype=np.bool_)

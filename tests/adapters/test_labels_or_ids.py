@@ -8,6 +8,7 @@ import meshio
 import numpy as np
 import pytest
 from contract import grid
+from gmsh_sessions import session
 
 from odt_plugins.adapters.files import read_file, write_file
 from odt_plugins.errors import DataNotKeptWarning
@@ -37,10 +38,24 @@ def test_labels_are_written_before_ids(suffix, name, tmp_path):
     assert np.array_equal(found, np.where(places > 0.5, 5, 9))
 
 
-@pytest.mark.parametrize("kind", ["float", "truth", "column"])
-@pytest.mark.parametrize("suffix", [".msh", ".inp", *sorted(LABELS)])
-def test_labels_may_be_of_any_type(suffix, kind, tmp_path):
+def test_zeros_are_no_groups_of_gmsh(tmp_path):
+    """Where some cells have a group Gmsh saves those alone."""
     mesh = labelled((1, 0), "material")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DataNotKeptWarning)
+        write_file(tmp_path / "a.msh", mesh)
+    with session() as gmsh:
+        gmsh.open(str(tmp_path / "a.msh"))
+        gmsh.write(str(tmp_path / "b.msh"))
+    back = read_file(tmp_path / "b.msh")
+    assert sum(len(block.data) for block in back.cells) == len(mesh.cells[0].data)
+
+
+@pytest.mark.parametrize(("suffix", "kind"), [
+    (suffix, kind) for suffix in (".msh", ".inp", *sorted(LABELS))
+    for kind in ("float", "truth", "column") if (suffix, kind) != (".msh", "truth")])
+def test_labels_may_be_of_any_type(suffix, kind, tmp_path):
+    mesh = labelled((2, 1) if suffix == ".msh" else (1, 0), "material")
     values = mesh.cell_data["material"][0]
     made = {"float": values.astype(float), "truth": values > 0, "column": values.reshape(-1, 1)}
     mesh.cell_data["material"] = [made[kind]]
