@@ -36,7 +36,7 @@ MOST = 2**31 - 1
 """Largest number of 32 bits, in groups of Gmsh and labels of Nastran."""
 
 EXACT = 2**53
-"""Up to which floating-point numbers are exact, and labels."""
+"""Largest number up to which floating-point numbers hold all whole ones."""
 
 LARGEST = {"nastran": MOST, "netgen": 99_999}
 """Formats whose tools take no labels but those from 1 on, and up to which these are.
