@@ -13,6 +13,7 @@ from odt_plugins.errors import InvalidOptionError, plain_values
 from odt_plugins.keywords import OptionKeywords, with_option_signature
 from odt_plugins.mesh.bodies import of_bodies
 from odt_plugins.mesh.facets import directed_facets
+from odt_plugins.mesh.numbers import even_rows
 from odt_plugins.mesh.simplex import SimplexMesh, freeze
 from odt_plugins.multiblock import has_parts, run_parts
 from odt_plugins.options import NOT_SIZED, OPTIONS, STAYS_SIZED, Options, expect_known, make_options
@@ -69,8 +70,8 @@ def remesh(
                               moved, added and removed within `envelope`, corners stay; with
                               "fixed", and by default of parts that touch, all of these stay bit for
                               bit. Figures named in `keep` do not fall; unless some are named, good
-                              ones may fall as far as to good ones, and means and shares of
-                              triangles where only good triangles become fewer
+                              ones may fall as far as to good ones, and means and shares where
+                              only good cells become fewer
 
     Returns
     -------
@@ -178,6 +179,7 @@ def _wish(size: Any, wishes: dict[str, Any], *, metric: bool) -> Wish:
     from odt_plugins.engine.remesh.wish import Wish
     from odt_plugins.metric.limits import GROWTH as OF_METRICS
 
+    wishes = {name: plain_values(name, value) for name, value in wishes.items()}
     adapt, length = wishes.get("adapt"), None
     size = plain_values("size", size)
     names = [adapt or ""] if isinstance(adapt, str | None) else adapt
@@ -192,7 +194,7 @@ def _wish(size: Any, wishes: dict[str, Any], *, metric: bool) -> Wish:
         msg = "got adapt= without a number of cells; expected cells= or vertices= beside it"
         raise InvalidOptionError(msg)
     metric = metric or bool(adapt)
-    given = isinstance(size, str) or callable(size) or np.ndim(size) > 0
+    given = isinstance(size, str) or callable(size) or even_rows("size", size).ndim > 0
     if size is not None and not given:
         try:
             length = float("" if isinstance(size, bool | np.bool_) else size)

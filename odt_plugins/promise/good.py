@@ -6,11 +6,12 @@ Cells of other sizes have other shapes: of a mesh that is nearly perfect no coar
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.figures import CellFigures, QualitySummary, summarize
+from odt_plugins.figures import CellFigures, QualitySummary, cell_figures, summarize
 from odt_plugins.mesh.seen import as_seen
 from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.options import KEPT
@@ -24,6 +25,13 @@ GOOD = {
 }
 """Figures of triangles, of 3 corners, and of tetrahedra that are good enough for other sizes, also
 where those of the input are better; angles in degrees."""
+
+SMALL = 20.0
+"""Degrees below which an angle makes a cell a poor one."""
+
+REGULAR = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.5, 0.75**0.5, 0.0],
+                    [0.5, 0.75**0.5 / 3.0, (2.0 / 3.0) ** 0.5]])
+"""Corners of a tetrahedron all of whose edges have the length 1."""
 
 
 def good_enough(keep: Sequence[str], corners: int) -> dict[str, float]:
@@ -47,18 +55,18 @@ def fallen_figures(
 
 
 def filled_up(
-    points: NDArray[np.float64], triangles: NDArray[np.int32], count: int
+    points: NDArray[np.float64], cells: NDArray[np.int32], count: int
 ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Triangles with as many regular ones beside them as are missing from a count.
+    """Triangles or tetrahedra with as many regular ones beside them as are missing from a count.
 
-    Figures of these are worse than those of as many other triangles only where more triangles, or
-    worse ones, are poor, and not where good ones are gone.
+    The 1 % quantile and the share below 20 degrees of these are worse than those of as many other
+    cells only where more cells, or worse ones, are poor, and not where good ones are gone.
     """
-    n, missing = len(points), max(count - len(triangles), 0)
-    regular = np.zeros((3, points.shape[1]))
-    regular[1:, :2] = [[1.0, 0.0], [0.5, 0.75**0.5]]
-    rows = np.broadcast_to(np.arange(n, n + 3, dtype=triangles.dtype), (missing, 3))
-    return np.concatenate([points, regular]), np.concatenate([triangles, rows])
+    n, corners = len(points), cells.shape[1]
+    missing = max(count - len(cells), 0)
+    regular = REGULAR[:corners, : points.shape[1]]
+    rows = np.broadcast_to(np.arange(n, n + corners, dtype=cells.dtype), (missing, corners))
+    return np.concatenate([points, regular]), np.concatenate([cells, rows])
 
 
 def fallen_since(
@@ -68,15 +76,24 @@ def fallen_since(
 ) -> list[str]:
     """Say as :func:`fallen_figures` which figures of a remeshed mesh got worse, as metrics see it.
 
-    ``figures`` are those of the mesh without a metric, when they are at hand; triangles are
-    filled up to ``full``, see :func:`filled_up`.
+    ``figures`` are those of the mesh without a metric, when they are at hand; cells are filled up
+    to ``full``, see :func:`filled_up`, and the mean is that of the cells that are not poor.
     """
     if not keep:
         return []
-    old = summarize(*as_seen(before.points, before.cells, before.metric))
-    seen = as_seen(points, cells, metric)
+    was, seen = (as_seen(mesh_points, rows, m) for mesh_points, rows, m in (
+        (before.points, before.cells, before.metric), (points, cells, metric)))
+    old = summarize(*was)
     if full:
-        new = summarize(*filled_up(*seen, full))
+        old = replace(old, mean_quality=mean_but_poor(*was))
+        new = replace(summarize(*filled_up(*seen, full)), mean_quality=mean_but_poor(*seen))
     else:
         new = summarize(*seen, None if len(metric) else figures)
     return fallen_figures(old, new, keep, cells.shape[1])
+
+
+def mean_but_poor(points: NDArray[np.float64], cells: NDArray[np.int32]) -> float:
+    """Mean radius ratio of the cells without an angle below 20 degrees, 1 where there are none."""
+    found = cell_figures(points, cells)
+    good = found.quality[found.min_angle >= SMALL]
+    return float(good.mean()) if len(good) else 1.0

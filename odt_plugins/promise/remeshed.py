@@ -47,6 +47,7 @@ def broken_by_remeshing(
     *,
     slides: bool,
     threads: int = 1,
+    full: int = 0,
 ) -> list[str]:
     """Say what of the promise does not hold for a mesh with other vertices.
 
@@ -62,6 +63,8 @@ def broken_by_remeshing(
     slides : bool                       whether surfaces may have other vertices; else they are as
                                         before, bit for bit
     threads : int
+    full : int                          cells to which they are filled up by good ones where figures
+                                        are looked at, see ``promise.good.filled_up``
 
     Returns
     -------
@@ -78,7 +81,7 @@ def broken_by_remeshing(
     if not slides:
         broken = broken_promises(before, points, cells, regions, (), origin=origin, insert=share,
                                  threads=threads)
-        return broken or fallen_since(before, points, cells, metric, keep)
+        return broken or fallen_since(before, points, cells, metric, keep, full=full)
     broken = malformed_arrays(before, points, cells, regions, origin)
     if broken:
         return broken
@@ -98,7 +101,7 @@ def broken_by_remeshing(
     broken += changed_use(held["unused"], numbered, removed, len(together))
     broken += overlapping_facets(overlaps)
     broken += thawed_cells(before, numbered, regions, len(together))
-    broken += fallen_since(before, points, cells, metric, keep, figures)
+    broken += fallen_since(before, points, cells, metric, keep, figures, full)
     old = facet_census(before.cells, before.regions, len(before.points), before.uneven)[0]
     was, now = _pieces(old, before.faces[1]), _pieces(new, faces[1])
     broken += broken_lines(before.faces[0], faces[0], cells)

@@ -1,6 +1,8 @@
-"""What is said of the edges of a mesh that was given other sizes."""
+"""What is said of a mesh that was given other sizes: of its edges, and of figures that fell."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,6 +14,8 @@ from odt_plugins.engine.surface.judge import values_on
 from odt_plugins.errors import counted
 from odt_plugins.mesh.arrays import FloatArray
 from odt_plugins.mesh.simplex import SimplexMesh
+from odt_plugins.options import Options
+from odt_plugins.promise.good import fallen_since
 
 IN = (0.5**0.5, 2.0**0.5)
 """Edges whose length is within these multiples of their size have it."""
@@ -65,3 +69,11 @@ def told_of_triangles(base: SimplexMesh, asked: FloatArray, outcome: Outcome) ->
         place = ", ".join(f"{x:.4g}" for x in outcome.points[far].mean(axis=0))
         note += f", most of all near ({place})"
     return (note,)
+
+
+def told_of_fallen(mesh: SimplexMesh, found: Outcome, options: Options) -> Outcome:
+    """An outcome that says which figures fell as good cells became fewer."""
+    fallen = fallen_since(mesh, found.points, found.cells, found.metric, tuple(options.keep))
+    kind = "triangles" if mesh.dim == 2 else "cells"
+    note = f"poor {kind} are no more than in the input, and good ones fewer: {'; '.join(fallen)}"
+    return replace(found, notes=(note, *found.notes) if fallen else found.notes)

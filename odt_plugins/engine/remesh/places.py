@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from odt_plugins.engine.cells.geometry import boundary_facets, signed_volumes
@@ -15,6 +17,7 @@ from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.mesh.seen import as_seen
 from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.options import Options
+from odt_plugins.promise.good import filled_up, mean_but_poor
 from odt_plugins.promise.region_sizes import other_sizes
 
 REACH = 0.7
@@ -27,21 +30,25 @@ MOST_UNLIKE = 0.5
 """Least part of the whole for which regions whose volume is another are not small."""
 
 
-def seen_figures(mesh: SimplexMesh | Outcome) -> Figures:
-    """Figures of a mesh, as it is seen."""
-    return figures(*as_seen(mesh.points, mesh.cells, mesh.metric))
+def seen_figures(mesh: SimplexMesh | Outcome, full: int = 0) -> Figures:
+    """Figures of a mesh, as it is seen; where cells are filled up, as ``fallen_since`` has them."""
+    seen = as_seen(mesh.points, mesh.cells, mesh.metric)
+    found = figures(*filled_up(*seen, full))
+    return replace(found, mean_quality=mean_but_poor(*seen)) if full else found
 
 
-def allowed_figures(mesh: SimplexMesh, options: Options) -> Figures:
+def allowed_figures(mesh: SimplexMesh, options: Options, full: int = 0) -> Figures:
     """Figures down to which those of a mesh may fall."""
-    return relaxed(seen_figures(mesh), tuple(options.keep), 4)
+    return relaxed(seen_figures(mesh, full), tuple(options.keep), 4)
 
 
-def spoiled_cells(mesh: SimplexMesh, outcome: Outcome, sizes: Sizes, options: Options) -> BoolArray:
+def spoiled_cells(
+    mesh: SimplexMesh, outcome: Outcome, sizes: Sizes, options: Options, full: int = 0
+) -> BoolArray:
     """Cells (m,) of the input near cells that pass its extremes, or near triangles that cross."""
     shapes = cell_shapes(*as_seen(outcome.points, outcome.cells, outcome.metric))
-    bad = spoiling(
-        allowed_figures(mesh, options), seen_figures(outcome), shapes, tuple(options.keep))
+    bad = spoiling(allowed_figures(mesh, options, full), seen_figures(outcome, full), shapes,
+                   tuple(options.keep))
     near = _near(mesh, _corners(outcome, outcome.cells[bad]), sizes) | _near(
         mesh, _corners(outcome, _crossed(outcome)), sizes)
     return np.asarray(near[mesh.cells].any(axis=1))

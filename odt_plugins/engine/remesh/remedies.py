@@ -33,6 +33,18 @@ before sizes give way."""
 EXTREMES = frozenset({"min_quality", "min_angle", "max_angle", "min_altitude"})
 """Figures of the worst cell."""
 
+ATTEMPTS = 4
+"""Most times within one part; each holds the input around what those before spoiled."""
+
+HARDLY_COARSER = 0.7
+"""Part of the vertices of the input from which on good cells may become fewer, as poor ones do
+not."""
+
+CROWDED = {2: 200, 3: 20}
+"""Multiple of the cells that are expected, or of those of the input, from which on none are split,
+by dimension: a metric that differs a lot, needles in it along feature lines, and feature lines much
+shorter than the sizes take more."""
+
 MOST_GIVEN_WAY = 10
 """Multiple of the cells that are expected, or of those of the input, beyond which sizes do not give
 way to those of a surface or of the input."""
@@ -56,6 +68,8 @@ class Attempt(NamedTuple):
     relents : bool          whether sizes give way to those that the surface has reached
     share : float           of the envelope within which surfaces are resized, 0 where they stay
     why : str               what the attempt before broke of the promise, "" for the first
+    full : int              cells to which they are filled up by good ones where figures are looked
+                            at, see ``promise.good.filled_up``
     """
 
     mesh: SimplexMesh
@@ -64,6 +78,7 @@ class Attempt(NamedTuple):
     relents: bool
     share: float = 0.0
     why: str = ""
+    full: int = 0
 
 
 def remedy(
@@ -91,9 +106,9 @@ def remedy(
     if broken.kind is Kind.BEYOND:
         far = gone_astray(mesh, outcome, attempt.sizes, envelope_length(mesh, options) - mesh.sag)
     spoiled = np.asarray(far[mesh.cells].any(axis=1)) if far.any() else spoiled_cells(
-        mesh, outcome, attempt.sizes, options)
+        mesh, outcome, attempt.sizes, options, attempt.full)
     falls = not far.any() and _fallen(
-        mesh, outcome, options, few=bool(0.0 < spoiled.mean() <= FEW_SPOILED))
+        mesh, outcome, options, attempt.full, few=bool(0.0 < spoiled.mean() <= FEW_SPOILED))
     found = _other_sizes(mesh, attempt, spoiled, slides=slides) if falls else None
     if found is None:
         small = of_small_regions(mesh, outcome)
@@ -102,13 +117,15 @@ def remedy(
     return found, falls
 
 
-def _fallen(mesh: SimplexMesh, outcome: Outcome, options: Options, *, few: bool) -> bool:
+def _fallen(
+    mesh: SimplexMesh, outcome: Outcome, options: Options, full: int, *, few: bool
+) -> bool:
     """Whether figures to be kept are worse than those of the input, and not good enough.
 
     Those of the worst cells do not count where these are few, near which the input may stay.
     """
-    fallen = set(seen_figures(outcome).worse_than(
-        allowed_figures(mesh, options), tuple(options.keep)))
+    fallen = set(seen_figures(outcome, full).worse_than(
+        allowed_figures(mesh, options, full), tuple(options.keep)))
     return bool(fallen - EXTREMES if few else fallen)
 
 
@@ -180,3 +197,8 @@ def nearer(mesh: SimplexMesh, sizes: Sizes, spoiled: BoolArray) -> Sizes | None:
 def most_given_way(mesh: SimplexMesh, sizes: Sizes) -> float:
     """Cells, about, beyond which sizes do not give way."""
     return MOST_GIVEN_WAY * max(sizes.cells, len(mesh.cells))
+
+
+def crowded(mesh: SimplexMesh, sizes: Sizes) -> float:
+    """Cells from which on none are split."""
+    return CROWDED[mesh.dim] * max(sizes.cells, len(mesh.cells))

@@ -19,24 +19,26 @@ from odt_plugins.engine.remesh.chords import sizes_as_wished
 from odt_plugins.engine.remesh.distance import Broken, beyond, furthest, too_far
 from odt_plugins.engine.remesh.finish import MORE, Resized, Room, finished, sums
 from odt_plugins.engine.remesh.lay_out import lay_out
-from odt_plugins.engine.remesh.notes import told_of_edges, told_of_triangles
+from odt_plugins.engine.remesh.notes import told_of_edges, told_of_fallen, told_of_triangles
 from odt_plugins.engine.remesh.number import NEAR, ROUGHLY, Goal, factor_towards, goal_of
 from odt_plugins.engine.remesh.onto import on_smooth
-from odt_plugins.engine.remesh.places import allowed_figures
+from odt_plugins.engine.remesh.places import allowed_figures, seen_figures
 from odt_plugins.engine.remesh.remedies import (
+    ATTEMPTS,
     EXTREMES,
-    MOST_HELD,
+    HARDLY_COARSER,
     Attempt,
+    crowded,
     most_given_way,
     nearer,
     remedy,
 )
 from odt_plugins.engine.remesh.sizes import Sizes, local_sizes
+from odt_plugins.engine.remesh.triangles import resized_triangles
 from odt_plugins.engine.remesh.volume import Resizing, arrays_of, resize
 from odt_plugins.engine.remesh.weld import as_welded, welded
 from odt_plugins.engine.remesh.whole import holds
 from odt_plugins.engine.remesh.wish import Wish
-from odt_plugins.engine.retile.run import retile
 from odt_plugins.engine.run.judge import envelope_length
 from odt_plugins.engine.run.outcome import Leaving, Outcome, as_it_is, unchanged
 from odt_plugins.engine.run.work import extremes, make_start
@@ -47,28 +49,16 @@ from odt_plugins.mesh.numbering import new_numbers
 from odt_plugins.mesh.simplex import SimplexMesh, diagonal
 from odt_plugins.options import Options
 from odt_plugins.progress import part, silent
-from odt_plugins.promise.good import fallen_since, good_enough
+from odt_plugins.promise.good import good_enough
 from odt_plugins.promise.remeshed import broken_by_remeshing
 
 SHARES = (0.7, 0.4)
 """Parts of the envelope within which surfaces are resized, one after the other until the promise
 holds; sliding has the rest."""
 
-ATTEMPTS = 4
-"""Most times within one part; each holds the input around what those before spoiled."""
-
 HALVINGS, FINER = 2, 1.5
 """Most times that sizes between coarse ones, with which figures fell, and finer ones are tried, and
 multiple of the cells of the coarse ones from which on it is worth it."""
-
-HARDLY_COARSER = 0.7
-"""Part of the vertices of the input from which on good triangles may become fewer, as poor ones do
-not."""
-
-CROWDED = {2: 200, 3: 20}
-"""Multiple of the cells that are expected, or of those of the input, from which on none are split,
-by dimension: a metric that differs a lot, needles in it along feature lines, and feature lines much
-shorter than the sizes take more."""
 
 LONGER = 1.11
 """Sizes are worked with so many times as long, so that edges have them on average."""
@@ -94,12 +84,14 @@ class Course(NamedTuple):
     known : Attempt or None     what kept the promise with sizes in proportion
     made : Made or None         what the first attempt makes of the mesh, where that is known
     brief : bool                whether those within the first share of the envelope are all
+    full : int                  see :class:`~odt_plugins.engine.remesh.remedies.Attempt`
     """
 
     room: Room = lambda _: MORE
     known: Attempt | None = None
     made: Made | None = None
     brief: bool = False
+    full: int = 0
 
 
 def remesh(mesh: SimplexMesh, options: Options, leaving: Leaving, wish: Wish) -> Outcome:
@@ -128,7 +120,7 @@ def remesh(mesh: SimplexMesh, options: Options, leaving: Leaving, wish: Wish) ->
 
     def tries(sizes: Sizes, course: Course) -> tuple[Outcome, Attempt | None]:
         if mesh.dim == 2:
-            found = _triangles(mesh, base, sizes, options, leaving)
+            found = resized_triangles(mesh, base, sizes, options, leaving)
             asked = sizes.values if wish.curved else sizes.before_chords(base)
             return found if found.origin is None else replace(
                 found, notes=told_of_triangles(base, asked, found) + found.notes), None
@@ -193,83 +185,40 @@ def _towards(
     return best
 
 
-def _triangles(
-    mesh: SimplexMesh, base: SimplexMesh, sizes: Sizes, options: Options, leaving: Leaving
-) -> Outcome:
-    """Resize triangles, with more vertices where sizes need them if the promise holds so; where
-    much of the input stays for its sake, also to sizes nearer to those of the input: the coarsest
-    result. If much stays even then good triangles may become fewer, as poor ones do not.
-    """
-    wanted: Sizes | None = sizes
-    best, why = unchanged(mesh, "no other sizes kept the promise"), None
-    if base is not mesh:
-        outcome = retile(mesh, sizes.values, options, leaving, _crowded(mesh, sizes), base)
-        if outcome.origin is not None:
-            return outcome
-        sizes = sizes.first(len(mesh.points))
-        wanted = sizes
-    for _ in range(ATTEMPTS):
-        if wanted is None:
-            break
-        outcome = retile(mesh, wanted.values, options, leaving, _crowded(mesh, wanted))
-        if why is None and outcome.fallback is None:
-            return outcome
-        if why is None or (outcome.origin is not None and (
-                best.origin is None or len(outcome.points) < len(best.points))):
-            note = ("sizes are nearer to those of the input than asked for, since "
-                    + (why or "").partition("since ")[2])
-            best = outcome if why is None else replace(outcome, notes=(note, *outcome.notes))
-        elif outcome.origin is not None:
-            break
-        why = why or outcome.fallback
-        if outcome.fallback is None or _stays(mesh, outcome) <= MOST_HELD:
-            break
-        wanted = nearer(mesh, wanted, np.zeros(len(mesh.cells), dtype=np.bool_))
-    if sizes.cells < len(mesh.cells) and (
-            _stays(mesh, best) > MOST_HELD
-            or len(best.points) > HARDLY_COARSER * len(mesh.points)):
-        found = _where_good_ones_go(mesh, sizes, options, leaving)
-        if found is not None and len(found.points) < len(best.points):
-            return found
-    return best
-
-
-def _where_good_ones_go(
-    mesh: SimplexMesh, sizes: Sizes, options: Options, leaving: Leaving
-) -> Outcome | None:
-    """Resize triangles so that poor ones are no more, though a larger part; None if that fails."""
-    keep = tuple(options.keep)
-    if not good_enough(keep, 3):
-        return None
-    found = retile(mesh, sizes.values, options, leaving, _crowded(mesh, sizes), mesh,
-                   len(mesh.cells))
-    if found.origin is None:
-        return None
-    fallen = fallen_since(mesh, found.points, found.cells, found.metric, keep)
-    note = f"poor triangles are no more than in the input, and good ones fewer: {'; '.join(fallen)}"
-    return replace(found, notes=(note, *found.notes) if fallen else found.notes)
-
-
-def _stays(mesh: SimplexMesh, outcome: Outcome) -> float:
-    """Part of the triangles of a mesh that an outcome has."""
-    if outcome.origin is None:
-        return 1.0
-    number = new_numbers(outcome.origin, len(mesh.points))
-    both = np.concatenate([number[mesh.cells], outcome.cells])
-    _, which = np.unique(np.sort(both, axis=1), axis=0, return_inverse=True)
-    m = len(mesh.cells)
-    return float(np.isin(which[:m], which[m:]).mean())
-
-
 def _tetrahedra(
     mesh: SimplexMesh, base: SimplexMesh, sizes: Sizes, options: Options, leaving: Leaving,
     course: Course,
 ) -> tuple[Outcome, Attempt | None]:
-    """Resize tetrahedra, with more vertices where sizes need them if the promise holds so.
+    """Resize tetrahedra; where they hardly become coarser good ones may become fewer, as poor ones
+    do not.
 
     Also the attempt that kept the promise, with which sizes in proportion may begin; None of the
     first attempt, or where none kept the promise.
     """
+    strict = course.known is None or not course.known.full
+    found, last = (
+        _with_base(mesh, base, sizes, options, leaving, course) if strict
+        else (unchanged(mesh, ""), None))
+    sizes = sizes.first(len(mesh.points))
+    enough = found.origin is not None and (
+        last is None or len(found.points) <= HARDLY_COARSER * len(mesh.points)
+        or len(found.cells) <= FINER * sizes.cells)
+    good = good_enough(tuple(options.keep), 4)
+    if (enough or not good or sizes.cells >= len(mesh.cells)
+            or seen_figures(mesh).small_angles <= good["share_below_20"]):
+        return found, last
+    other, then = _tries(mesh, sizes, options, leaving,
+                         course._replace(made=None, full=len(mesh.cells)))
+    if other is None or not len(other.points) < len(found.points):
+        return found, last
+    return told_of_fallen(mesh, other, options), then
+
+
+def _with_base(
+    mesh: SimplexMesh, base: SimplexMesh, sizes: Sizes, options: Options, leaving: Leaving,
+    course: Course,
+) -> tuple[Outcome, Attempt | None]:
+    """As :func:`_tetrahedra`, with more vertices where sizes need them if the promise holds so."""
     n = len(mesh.points)
 
     def own(outcome: Outcome) -> Outcome:
@@ -314,7 +263,8 @@ def _tries(
     promise with sizes in proportion is begun with, and its share is the only one.
     """
     slides, falls = options.boundary == "slide", False
-    attempt, shares = _first(mesh, sizes, options), (*(SHARES if slides else ()), 0.0)
+    attempt = _first(mesh, sizes, options)._replace(full=course.full)
+    shares = (*(SHARES if slides else ()), 0.0)
     known, made = course.known, course.made
     if known is not None:
         factor = float(sizes.asked[0] / known.sizes.asked[0])
@@ -335,7 +285,7 @@ def _tries(
                     attempt, outcome = _less_fine(attempt, outcome, coarse, lambda other: _once(
                         other, sizes.values, options, leaving, course.room, None))
                 return (_explained(mesh, attempt, outcome, stays=slides and share == 0.0),
-                        attempt if attempt.why else None)
+                        attempt if attempt.why or attempt.full else None)
             following, falls = remedy(mesh, attempt, outcome, broken, options)
             coarse = Coarse(attempt.mesh, attempt.sizes, len(outcome.cells)) if falls else None
             attempt = attempt._replace(why=broken.why)
@@ -372,11 +322,6 @@ def _first(mesh: SimplexMesh, sizes: Sizes, options: Options) -> Attempt:
     """The attempt that comes first."""
     share = SHARES[0] if options.boundary == "slide" else 0.0
     return Attempt(mesh, sizes, np.ones(len(mesh.points)), len(mesh.metric) > 0, share)
-
-
-def _crowded(mesh: SimplexMesh, sizes: Sizes) -> float:
-    """Cells from which on none are split."""
-    return CROWDED[mesh.dim] * max(sizes.cells, len(mesh.cells))
 
 
 def _explained(mesh: SimplexMesh, attempt: Attempt, outcome: Outcome, *, stays: bool) -> Outcome:
@@ -438,7 +383,8 @@ def _once(
     origin: Any = outcome.origin
     others = broken_by_remeshing(
         mesh, outcome.points, outcome.cells, outcome.regions, origin, tuple(options.keep),
-        outcome.metric, outcome.faces, slides=share > 0.0, threads=options.threads)
+        outcome.metric, outcome.faces, slides=share > 0.0, threads=options.threads,
+        full=attempt.full)
     if others:
         return outcome, Broken(others[0])
     broken = None
@@ -472,7 +418,7 @@ def _resized(
             log = Log()
             work = Resizing(body, guard, scratch, field, field.walk_start(len(start.points)), log,
                             LONGER * local_sizes(mesh)[frame.vertices] * unit, sizes.growth,
-                            attempt.relents, most_given_way(mesh, sizes), _crowded(mesh, sizes))
+                            attempt.relents, most_given_way(mesh, sizes), crowded(mesh, sizes))
             if resize(work, share > 0.0, pool, tick, threads, coarse=coarse):
                 break
         whole = make_density(NodalDensity(LONGER * asked[frame.vertices] * unit, 1.0), None,

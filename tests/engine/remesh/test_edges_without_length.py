@@ -7,7 +7,7 @@ import pytest
 from surface_meshes import sphere
 
 import odt_plugins
-import odt_plugins.engine.remesh.run as remesh_run
+import odt_plugins.engine.remesh.triangles as remesh_triangles
 from odt_plugins.engine.remesh.weld import welded
 from odt_plugins.engine.run.outcome import unchanged
 from odt_plugins.mesh.surface import surface_edges, surface_mesh
@@ -92,7 +92,7 @@ def test_a_vertex_that_is_fixed_is_the_one_that_stays():
 
 def test_where_the_smaller_surface_stays_the_mesh_does(monkeypatch):
     points, cells = drum([3])
-    monkeypatch.setattr(remesh_run, "retile", lambda mesh, *_: unchanged(mesh, "it must"))
+    monkeypatch.setattr(remesh_triangles, "retile", lambda mesh, *_: unchanged(mesh, "it must"))
     (new, rows), report = odt_plugins.remesh_with_report((points, cells), 0.5)
     assert np.array_equal(new, points)
     assert np.array_equal(rows, cells)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import odt_plugins
-from odt_plugins.engine.remesh import run
+from odt_plugins.engine.remesh import triangles as of_triangles
 from odt_plugins.engine.remesh.resolve import resolved
 from odt_plugins.engine.remesh.sizes import wanted_sizes
 from odt_plugins.engine.remesh.wish import Wish
@@ -173,7 +173,7 @@ def test_strips_around_a_cylinder_are_no_plane_sides():
 
 def test_where_the_promise_forbids_more_vertices_the_mesh_is_resized_without(monkeypatch):
     tried = []
-    resized = run.retile
+    resized = of_triangles.retile
 
     def once(mesh, *rest):
         tried.append(len(rest) > 4)
@@ -181,7 +181,7 @@ def test_where_the_promise_forbids_more_vertices_the_mesh_is_resized_without(mon
             return unchanged(mesh, "it does not hold")
         return resized(mesh, *rest)
 
-    monkeypatch.setattr(run, "retile", once)
+    monkeypatch.setattr(of_triangles, "retile", once)
     points, cells = _punched(32, 0.05)
     (x, t), report = odt_plugins.remesh_with_report((points, cells), 0.2, envelope=1e-4)
     assert tried == [True, False]

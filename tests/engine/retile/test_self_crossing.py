@@ -9,7 +9,7 @@ import pytest
 from surface_meshes import sphere
 
 import odt_plugins
-import odt_plugins.engine.remesh.run as remesh_run
+import odt_plugins.engine.remesh.triangles as remesh_triangles
 import odt_plugins.engine.retile.run as retile_run
 from odt_plugins.engine.retile.run import Shell, newly_crossed
 from odt_plugins.engine.run.outcome import unchanged
@@ -53,7 +53,7 @@ def test_crossings_are_new_where_there_were_none():
 
 @pytest.mark.parametrize("much", [False, True])
 def test_other_sizes_are_tried_only_where_much_of_the_input_stays(much, monkeypatch):
-    whole, calls = remesh_run.retile, []
+    whole, calls = remesh_triangles.retile, []
 
     def told(mesh, *how):
         calls.append(mesh)
@@ -63,7 +63,7 @@ def test_other_sizes_are_tried_only_where_much_of_the_input_stays(much, monkeypa
     def leaving_it(mesh):
         return replace(unchanged(mesh, ""), origin=np.arange(len(mesh.points)))
 
-    monkeypatch.setattr(remesh_run, "retile", told)
+    monkeypatch.setattr(remesh_triangles, "retile", told)
     odt_plugins.remesh(sphere(3, 0.1), scale=2.0, envelope=0.02)
     assert (len(calls) > 1) is much
 
