@@ -129,12 +129,14 @@ def run(name: str) -> None:
 
     from odt_plugins.api import optimize
     from odt_plugins.conserve import After, conserved
-    from odt_plugins.engine.cells.extremes import Extremes
+    from odt_plugins.engine.cells.extremes import FREELY, Bounds, Extremes
     from odt_plugins.engine.cells.geometry import boundary_vertices
     from odt_plugins.engine.finish.repair2d import within_bounds
     from odt_plugins.engine.ground.envelope import uncovered
     from odt_plugins.engine.ground.reference import make_reference
+    from odt_plugins.engine.moves.passes import more_cells
     from odt_plugins.engine.topology.adjacency import cell_neighbors
+    from odt_plugins.engine.topology.complex import make_complex
     from odt_plugins.engine.topology.triangles import Triangles
     from odt_plugins.generate import clouds
     from odt_plugins.generate.refine2d import refine_triangles
@@ -156,6 +158,10 @@ def run(name: str) -> None:
             conserved(before, after, {"": before.cells[:, 0] * 1.0}, {"": (points, after.points)})
             squeezed = points * np.where(np.arange(points.shape[1]) > 0, 1.0, 0.2)
             optimize((squeezed, cells), free="layers")
+        if mesh == "ball" and vertices == SMALL:
+            body = simplex_mesh(points, cells)[0]
+            solid = make_complex(body.points, body.cells, body.regions, inside, ~inside)
+            more_cells(solid, 1, Bounds(FREELY, FREELY))
         if mesh == "plate":
             refine_triangles(points, cells)
             plane = Triangles(points.copy(), cells.copy(), cell_neighbors(cells), 0 * cells[:, 0])

@@ -320,3 +320,43 @@ def flip_pass(
         if n_new > 0:
             flips += 1
     return flips
+
+
+@allocating_kernel
+def facet_pass(
+    tets: Tets, order: IntArray, most: int, limit: float, cost: Cost, bounds: Bounds,
+    costs: FloatArray,
+) -> int:
+    """Take at most so many 2-3 flips, whatever the two cells cost that become three.
+
+    Parameters
+    ----------
+    tets : Tets                  changed in place
+    order : (k,) int32           cells to visit
+    most : int
+    limit : float                what the three cost in sum at most
+    cost : Cost
+    bounds : Bounds
+    costs : (room,) float64      place for costs of cells
+
+    Returns
+    -------
+    int                          number of flips taken
+    """
+    ring = make_ring(costs, False)
+    journal = make_journal(np.bool_(False), np.int64(0))
+    flips = 0
+    for o in range(order.shape[0]):
+        c = order[o]
+        for f in range(4):
+            if flips == most or tets.cells[c, 0] < 0:
+                break
+            across = np.int64(tets.neighbors[c, f])
+            if across < 0 or tets.regions[across] != tets.regions[c]:
+                continue
+            _, n_new = _flip_facet(
+                tets, c, f, across, limit, cost, bounds, WITHIN_BOUNDS, ring, journal)
+            if n_new > 0:
+                flips += 1
+                break
+    return flips

@@ -7,9 +7,9 @@ from functools import partial
 
 import numpy as np
 
-from odt_plugins.engine.cells.cost import Cost, is_energy
+from odt_plugins.engine.cells.cost import Cost, is_energy, quality_cost
 from odt_plugins.engine.cells.extremes import Bounds
-from odt_plugins.engine.cells.measures import slot_measures
+from odt_plugins.engine.cells.measures import QUALITY, slot_measures
 from odt_plugins.engine.compiled.threads import run_ranges
 from odt_plugins.engine.moves import flips3d
 from odt_plugins.engine.topology.active import pending_slots
@@ -21,6 +21,12 @@ from odt_plugins.mesh.chunks import Pool
 
 BLOCK_BITS = 14
 """The worst cells come first within 2^BLOCK_BITS slots, which lie together in memory."""
+
+FILLING = (0.75, 0.7, 0.65, 0.6, 0.55, 0.5, 0.45, 0.4, 0.3, 0.2)
+"""Radius ratios, about, of the three cells that a flip for more cells leaves, in turn."""
+
+PASSES = 8
+"""Most passes of such flips for each of them."""
 
 
 def measures(
@@ -86,6 +92,29 @@ def flip_pending(
             costs = np.zeros(len(mesh.cells))
         elif flips == 0:
             break
+    return total
+
+
+def more_cells(mesh: Complex, count: int, bounds: Bounds) -> int:
+    """Make about so many cells more by 2-3 flips, those first that leave the best cells.
+
+    Returns
+    -------
+    int    how many came
+    """
+    total = 0
+    for quality in FILLING:
+        cost = Cost(QUALITY, 1.0)
+        limit = 3.0 * float(quality_cost.py_func(quality, cost.power))
+        for _ in range(PASSES):
+            order = mesh.live().astype(np.int32)
+            flips = flips3d.facet_pass(
+                mesh.tets, order, count - total, limit, cost, bounds, np.zeros(len(mesh.cells)))
+            total += flips
+            if mesh.full:
+                grow(mesh)
+            elif not flips or total == count:
+                break
     return total
 
 

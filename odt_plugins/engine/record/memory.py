@@ -3,15 +3,23 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Any, Protocol
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 from odt_plugins.engine.policy import POLICY
-from odt_plugins.engine.record.figures import EXTREMES, ROUNDING, Figures, cell_shapes, figures
+from odt_plugins.engine.record.figures import (
+    COS_SMALL,
+    EXTREMES,
+    ROUNDING,
+    Figures,
+    cell_shapes,
+    figures,
+)
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.mesh.chunks import Pool
+from odt_plugins.mesh.quantiles import quantile
 from odt_plugins.objectives import Objective
 
 
@@ -40,6 +48,20 @@ def having(found: Figures) -> str:
     return f" at mean q {found.mean_quality:.3f} and least q {found.min_quality:.3f}"
 
 
+class Beside(NamedTuple):
+    """Cells of the input that stay, and the others, by their ``figures.cell_shapes``."""
+
+    held: FloatArray
+    first: FloatArray
+
+    def added_to(self, found: Figures, shapes: FloatArray) -> Figures:
+        """Figures with quantile, mean and share of the cells that stay and some others."""
+        both = np.concatenate([shapes, self.held])
+        return replace(found, p1_quality=quantile(both[:, 0], 0.01),
+                       mean_quality=float(both[:, 0].mean()),
+                       small_angles=float((both[:, 1] > COS_SMALL).mean()))
+
+
 class Changing(Protocol):
     """A mesh while it is being changed."""
 
@@ -60,6 +82,9 @@ class Memory:
 
     Cells at the vertices ``aside`` may pass the extremes: another run will look after them.
 
+    Quantile, mean and share are kept with the cells ``beside``, too, that stay and are no part of
+    the states: where many of these are poor, all are a poorer mesh with fewer good ones.
+
     After finishing the best is the one of highest score; without it, the latest, since then a
     certain number of rounds of a certain method was asked for.
     """
@@ -67,6 +92,7 @@ class Memory:
     def __init__(
         self, before: Figures, keep: tuple[str, ...], objective: Objective, *, by_score: bool,
         aside: BoolArray | None = None, pool: Pool | None = None,
+        beside: Beside | None = None,
     ) -> None:
         self.before = before
         self.keep = keep
@@ -74,6 +100,8 @@ class Memory:
         self.by_score = by_score
         self.aside = aside
         self.pool = pool
+        self.beside = beside
+        self.whole = before if beside is None else beside.added_to(before, beside.first)
         self.states: list[State] = []
         self.worse: list[str] = []
         self.refused: State | None = None
@@ -86,6 +114,10 @@ class Memory:
         cells, regions = mesh.mesh_arrays()
         now = figures(mesh.points, cells, self.objective, self.pool)
         worse = self._but_aside(now, mesh.points, cells).worse_than(self.before, self.keep)
+        if not worse and self.beside is not None:
+            all_cells = self.beside.added_to(
+                self.before, cell_shapes(mesh.points, cells, self.pool))
+            worse = all_cells.worse_than(self.whole, self.keep)
         if worse:
             self.worse = worse
             self.refused = State(mesh.points.copy(), cells, regions, now, name)

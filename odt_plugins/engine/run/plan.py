@@ -16,7 +16,7 @@ from odt_plugins.engine.run.judge import cut_vertices, faults, slides, vertices_
 from odt_plugins.engine.run.outcome import Leaving, Outcome, as_it_is, unchanged
 from odt_plugins.engine.run.retreat import run_sliding
 from odt_plugins.engine.run.sizes import keeps_sizes, sizes_after
-from odt_plugins.engine.run.stages import finish_alone, in_cycles, insert, worst_cells
+from odt_plugins.engine.run.stages import fill_up, finish_alone, in_cycles, insert, worst_cells
 from odt_plugins.engine.run.within import WHOLE, Within
 from odt_plugins.engine.run.work import Work, begin
 from odt_plugins.engine.topology.complex import Complex
@@ -78,7 +78,8 @@ def follow_plan(work: Work, mesh: Complex) -> str:
 
     1. Cycles of stage 1, which lowers the ODT energy by moves of vertices (Section 4) and by
        connectivity (Section 3), and stage 2, which raises the mean quality.
-    2. The worst cells: descents with ever higher powers, repair of what fell below the input.
+    2. The worst cells: descents with ever higher powers, repair of what fell below the input; as
+       many cells as before where fewer ones alone make a poorer mesh.
     3. Stage 2 alone on the input, where that kept nothing or the tail stays poor.
     4. Vertices are added and removed, on request.
 
@@ -99,6 +100,8 @@ def follow_plan(work: Work, mesh: Complex) -> str:
             worst_cells(mesh, early)
     (early.options.progress or silent)("finishing", 1.0)
 
+    if options.finish and mesh.dim == 3 and not memory.states and not work.slides:
+        fill_up(work)
     refused = not memory.states and not (work.slides and memory.spoiled().size)
     if options.finish and (refused or _may_finish_alone(work)):
         with log.timed(ALONE):

@@ -22,9 +22,10 @@ from odt_plugins.engine.finish.phases import (
 )
 from odt_plugins.engine.finish.polishing import polish_small_angles
 from odt_plugins.engine.finish.volume import held_angles
+from odt_plugins.engine.moves.passes import more_cells
 from odt_plugins.engine.odt.rounds import Log, smooth
 from odt_plugins.engine.policy import POLICY
-from odt_plugins.engine.record.figures import Figures, figures
+from odt_plugins.engine.record.figures import COS_SMALL, Figures, figures
 from odt_plugins.engine.record.memory import State
 from odt_plugins.engine.record.progress import BEFORE_INSERTION
 from odt_plugins.engine.run.work import Work, extremes
@@ -197,6 +198,31 @@ def _bring_back(mesh: Complex, state: State, work: Work) -> None:
         work.settle(slots, cautious(3)[2:] if stuck else bulk(3, memory.objective), bounds)
     if memory.offer(zone, "repaired"):
         polish_small_angles(joined(zone), bounds, memory, "finished", work.settle, work.pool)
+
+
+def fill_up(work: Work) -> None:
+    """Give the last refused state as many cells as the input has, and improve it by moves alone.
+
+    Where poor cells stay, they are a larger share of fewer cells, and the 1 % quantile falls
+    though no cell is worse.
+    """
+    bounds, memory = work.bounds, work.memory
+    state = memory.refused
+    if state is None or not set(memory.worse) <= {"p1_quality", "share_below_20"}:
+        return
+    mesh = make_complex(
+        state.points.copy(), state.cells, state.regions, work.locked, work.boundary)
+    few = 2.0 * memory.whole.p1_quality
+    good, fair = (bounds.with_quality(max(bounds.cells.quality, least)) for least in (
+        POLICY.locked_quality, min(POLICY.locked_quality, few)))
+    good = good.with_large(COS_SMALL)
+    for limits in (good, good, fair):
+        missing = len(work.start.cells) - mesh.count()
+        if missing <= 0:
+            break
+        work.log.add("flips for more cells", more_cells(mesh, missing, limits))
+        work.settle(mesh, tuple(map(moves_alone, bulk(3, memory.objective))), bounds)
+        memory.offer(mesh, "finished")
 
 
 def finish_alone(mesh: Complex, work: Work, name: str, *, flips: bool) -> None:

@@ -16,8 +16,8 @@ from odt_plugins.engine.finish.volume import finish
 from odt_plugins.engine.odt.density import Density, make_density
 from odt_plugins.engine.odt.rounds import Log
 from odt_plugins.engine.policy import POLICY
-from odt_plugins.engine.record.figures import Figures, figures
-from odt_plugins.engine.record.memory import Memory, State
+from odt_plugins.engine.record.figures import Figures, cell_shapes, figures
+from odt_plugins.engine.record.memory import Beside, Memory, State
 from odt_plugins.engine.run.judge import envelope_length, slides
 from odt_plugins.engine.run.outcome import Outcome
 from odt_plugins.engine.run.sizes import inner_density
@@ -28,7 +28,7 @@ from odt_plugins.engine.topology.frame import Frame, make_frame
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.mesh.chunks import Pool
 from odt_plugins.mesh.numbering import new_numbers
-from odt_plugins.mesh.seen import in_unit
+from odt_plugins.mesh.seen import as_seen, in_unit
 from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.options import Options
 
@@ -184,7 +184,8 @@ def begin(
     before = _figures_before(start, options, within, pool)
     within = within.numbered(frame.vertices)
     memory = Memory(before, tuple(options.keep), options.objective, by_score=options.finish,
-                    aside=None if within.whole is None else within.cut, pool=pool)
+                    aside=None if within.whole is None else within.cut, pool=pool,
+                    beside=_beside(start, within, pool))
     m = first.used
     density = make_density(inner_density(mesh, options, frame), options.smoothing.exponent,
                            first.points,
@@ -217,6 +218,15 @@ def _figures_before(start: Start, options: Options, within: Within, pool: Pool |
         return before
     places, valid = mesh.valid_before
     return before.or_worse(figures(start.frame.inside(places), valid, options.objective))
+
+
+def _beside(start: Start, within: Within, pool: Pool | None) -> Beside | None:
+    """The cells that stay; None where none does, or a larger mesh or a tangled one is judged."""
+    mesh = start.mesh
+    if within.whole is not None or mesh.valid_before is not None or not mesh.frozen.any():
+        return None
+    held = as_seen(mesh.points, mesh.cells[mesh.frozen], mesh.metric)
+    return Beside(cell_shapes(*held, pool), cell_shapes(start.seen, start.cells, pool))
 
 
 def locked_vertices(mesh: SimplexMesh, neighbors: IntArray) -> tuple[BoolArray, BoolArray]:

@@ -143,6 +143,23 @@ def test_no_cell_beyond_the_bounds_unless_it_replaces_a_worse_one():
     assert now.max() <= angles.max() + 1e-7
 
 
+@pytest.mark.parametrize("count", [0, 20, 100_000])
+def test_more_cells_come_and_none_is_poorer_than_allowed(count):
+    points, cells = tm.ball(300, 8)
+    mesh = complex_of(points, cells)
+    volume = tm.signed_volumes(points, cells).sum()
+    made = passes.more_cells(mesh, count, OPEN.with_quality(0.25))
+    now, _ = mesh.mesh_arrays()
+    assert len(now) == len(cells) + made
+    assert made == count if count < 100 else 20 < made < count
+    assert_sound(mesh, points, volume)
+    known = {tuple(sorted(row)) for row in cells.tolist()}
+    new = np.array([tuple(sorted(row)) not in known for row in now.tolist()])
+    assert new.sum() >= made
+    if made:
+        assert tm.quality(points, now[new]).min() > 0.25 - 1e-9
+
+
 def test_a_complex_without_room_grows():
     points, cells = tm.grid(4, 3)
     mesh = complex_of(points, cells)
