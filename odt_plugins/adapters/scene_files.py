@@ -56,6 +56,12 @@ def read(path: Path) -> Any:
     if not scene.geometry:
         msg = "it holds no geometry"
         raise MeshFileError(msg)
+    for mesh in scene.geometry.values():
+        beside = getattr(mesh.visual, "vertex_attributes", {})
+        # trimesh reads what there is beside a texture, and writes four bytes for each vertex.
+        if "color" in beside and (
+                beside["color"].dtype != "u1" or beside["color"].shape[1:] != (4,)):
+            del beside["color"]
     setattr(scene, HELD, found)
     return scene
 

@@ -23,7 +23,7 @@ from odt_plugins.adapters.regions import region_labels
 from odt_plugins.adapters.wedges import slid
 from odt_plugins.errors import UnsupportedMeshError
 
-MATERIALS, COLOURS = "face_materials", "vertex_colors"
+MATERIALS, COLOURS, VISUAL = "face_materials", "vertex_colors", "visual."
 
 REMEDIES = (
     (r"merging vertices at the same place", "mesh.merge_vertices()"),
@@ -66,7 +66,7 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
     if _materials(mesh) is not None:
         arrays[MATERIALS] = np.asarray(_materials(mesh))
     uv = getattr(mesh.visual, "uv", None)
-    fields = _of_length(mesh.vertex_attributes, n)
+    fields = _of_length(_beside_uv(mesh), n) | _of_length(mesh.vertex_attributes, n)
     if mesh.visual.kind == "vertex":
         fields[COLOURS] = np.array(mesh.visual.vertex_colors)
     return HostMesh(
@@ -85,6 +85,9 @@ def write(result: Result, host: HostMesh) -> Any:
     out.__class__ = type(mesh)
     vars(out).update({name: deepcopy(value) for name, value in vars(mesh).items()
                       if name not in vars(out)})
+    beside = _beside_uv(mesh)
+    for name, values in beside.items():
+        out.visual.vertex_attributes[name.removeprefix(VISUAL)] = np.array(values)
     if same:
         return out
     colours = np.array(mesh.visual.face_colors) if mesh.visual.kind == "face" else None
@@ -104,9 +107,12 @@ def write(result: Result, host: HostMesh) -> Any:
     for name, values in _of_length(mesh.face_attributes, len(host.cells)).items():
         out.face_attributes[name] = result.carried(values, name)
     if moved is not None:
-        for name, values in _of_length(mesh.vertex_attributes, len(host.points)).items():
-            if moved.renumbered or name in host.fields:
-                out.vertex_attributes[name] = moved.carried(values, name, field=name in host.fields)
+        for attributes, own in ((mesh.vertex_attributes, out.vertex_attributes),
+                                (beside, out.visual.vertex_attributes if beside else {})):
+            for name, values in _of_length(attributes, len(host.points)).items():
+                if moved.renumbered or name in host.fields:
+                    own[name.removeprefix(VISUAL) if attributes is beside else name] = (
+                        moved.carried(values, name, field=name in host.fields))
     return out
 
 
@@ -121,6 +127,15 @@ def _materials(mesh: Any) -> Any:
     """Number of the material of every face, or None."""
     found = getattr(mesh.visual, MATERIALS, None)
     return found if found is not None and len(found) == len(mesh.faces) else None
+
+
+def _beside_uv(mesh: Any) -> dict[str, Any]:
+    """What a texture has for vertices beside its coordinates, such as colours of glTF.
+
+    The names begin with "visual.", since the mesh may have attributes of the same.
+    """
+    attributes = mesh.visual.vertex_attributes if mesh.visual.kind == "texture" else {}
+    return {VISUAL + name: values for name, values in attributes.items() if name != "uv"}
 
 
 def _of_length(attributes: Any, count: int) -> dict[str, NDArray[Any]]:

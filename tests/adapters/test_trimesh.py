@@ -91,3 +91,26 @@ def test_what_cannot_be_optimised_is_named():
         odt_plugins.optimize(mesh)
     mesh.fix_normals()
     assert odt_plugins.quality(mesh).n_cells == len(mesh.faces)
+
+
+@pytest.mark.parametrize("verb", ["interpolate", "keep", "remesh"])
+def test_colours_beside_the_texture_coordinates_survive(verb):
+    p, t = sm.bowl(15)
+    mesh = trimesh.Trimesh(p, t, process=False, visual=trimesh.visual.TextureVisuals(uv=p[:, :2]))
+    shade = np.rint(np.column_stack([p * 100 + 120, np.full(len(p), 255)])).astype(np.uint8)
+    mesh.visual.vertex_attributes["color"] = shade
+    mesh.vertex_attributes["color"] = np.arange(len(p))
+    out = odt_plugins.remesh(mesh, scale=0.8, envelope=0.02) if verb == "remesh" else (
+        odt_plugins.optimize(mesh, envelope=0.02, fields=verb))
+    known = np.array(out.visual.vertex_attributes["color"])
+    assert (known.dtype, known.shape) == (np.uint8, (len(out.vertices), 4))
+    if verb == "keep":
+        assert np.array_equal(known, shade)
+    else:
+        there = np.column_stack([out.vertices * 100 + 120, np.full(len(known), 255)])
+        assert np.abs(known - there).max() < 1.1
+    assert len(out.vertex_attributes["color"]) == len(out.vertices)
+    same = trimesh.Trimesh(p, t, process=False, visual=mesh.visual.copy())
+    same.visual.vertex_attributes["color"] = shade
+    stays = odt_plugins.optimize(same, selection=[])
+    assert np.array_equal(stays.visual.vertex_attributes["color"], shade)
