@@ -1,11 +1,11 @@
 """pyvista.UnstructuredGrid of tetrahedra or triangles, pyvista.PolyData of triangles.
 
-Everything survives: class, dtype of the points, point, cell and field data, active arrays and
-user dictionary. Normals of a curved surface, active or called so, are computed anew, the active
-texture coordinates of triangles interpolated where vertices moved. Other linear cells (lines,
-boundary triangles, quadrilaterals, hexahedra, ...) come back as they are. Quadratic and Lagrange
-triangles and tetrahedra are optimised by their corners, see
-:mod:`odt_plugins.adapters.higher_order`; other cells of higher order, such cells beside linear
+Everything survives: class, dtype of the points, point, cell and field data, active arrays, ids,
+names of components, tables of colours and user dictionary. Normals of a curved surface, active or
+called so, are computed anew, the active texture coordinates of triangles interpolated where
+vertices moved. Other linear cells (lines, boundary triangles, quadrilaterals, hexahedra, ...) come
+back as they are. Quadratic and Lagrange triangles and tetrahedra are optimised by their corners,
+see :mod:`odt_plugins.adapters.higher_order`; other cells of higher order, such cells beside linear
 ones, polyhedra and triangle strips are refused by name.
 """
 
@@ -39,6 +39,7 @@ from odt_plugins.adapters.host import (
 )
 from odt_plugins.adapters.normals import NORMALS, are_normals, renewed
 from odt_plugins.adapters.regions import region_labels
+from odt_plugins.adapters.vtk_files import as_before
 from odt_plugins.adapters.wedges import slid
 from odt_plugins.errors import UnsupportedMeshError, counted
 
@@ -167,6 +168,7 @@ def write(result: Result, host: HostMesh) -> Any:
     _carry_cell_data(out, host.source, rows, result, ids)
     if nodes is None:
         _follow_surface(out, result, host, rows)
+    as_before(out, host.source, narrow=False)
     return out
 
 
@@ -175,15 +177,17 @@ def _follow_surface(out: Any, result: Result, host: HostMesh, rows: IndexArray) 
 
     `rows` tells for every new cell in which row of the caller's cell data it had its data.
     """
-    name = out.point_data.active_texture_coordinates_name
+    source = host.source
+    name = source.point_data.active_texture_coordinates_name
     if name is not None and result.feet is not None:
         out.point_data[name] = slid(
-            np.asarray(host.source.point_data[name]), host.cells, result.feet)
+            np.asarray(source.point_data[name]), host.cells, result.feet)
     if not result.curved:
         return
-    for data, own, of_vertices in ((out.point_data, slice(None), True),
-                                   (out.cell_data, np.isin(rows, optimised_cells(host)), False)):
-        for name in {data.active_normals_name, NORMALS}.intersection(data.keys()):
+    mine = np.isin(rows, optimised_cells(host))
+    for data, old, own, of_vertices in ((out.point_data, source.point_data, slice(None), True),
+                                        (out.cell_data, source.cell_data, mine, False)):
+        for name in {old.active_normals_name, NORMALS}.intersection(data.keys()):
             values = np.array(data[name])
             if are_normals(values):
                 values[own] = renewed(
@@ -326,7 +330,6 @@ def _carry_point_data(
     old, new = source.point_data, out.point_data
     for name in old.keys() if names is None else names:
         new.set_array(carry(name, np.asarray(old[name])), name)
-    _make_active(new, old)
 
 
 def _write_grid(
@@ -505,7 +508,7 @@ def are_vertices(cells: IndexArray) -> NDArray[np.bool_]:
 def _carry_cell_data(
     out: Any, source: Any, rows: IndexArray, result: Result, ids: IndexArray
 ) -> None:
-    """Give every cell the data of the cell it came from, and make the same arrays active.
+    """Give every cell the data of the cell it came from.
 
     Densities whose integrals stay are those of the result, in the place of cells with these `ids`.
 
@@ -518,14 +521,6 @@ def _carry_cell_data(
             own = result.of_cells[name]
             values[np.isin(rows, ids)] = own.reshape(len(own), *values.shape[1:])
         new.set_array(values, name)
-    _make_active(new, old)
-
-
-def _make_active(new: Any, old: Any) -> None:
-    for role in ("scalars", "vectors", "normals", "texture_coordinates"):
-        name = getattr(old, f"active_{role}_name")
-        if name is not None:
-            setattr(new, f"active_{role}_name", name)
 
 
 def _positions(start: IndexArray, size: IndexArray) -> IndexArray:

@@ -147,7 +147,7 @@ def write_and_read(path: Path, mesh: Any, name: str, binary: bool | None = None)
         source = _reader(like.format)
         source.SetFileName(str(like.path))
         if not _run(source):
-            _as_before(dataset, source.GetOutput(), narrow=name == "vtk")
+            as_before(dataset, source.GetOutput(), narrow=name == "vtk")
     if name != "vtk":
         _escape(dataset)
     sink.SetInputData(dataset)
@@ -207,7 +207,7 @@ def _like(mesh: Any, name: str) -> Like:
         wide=b"UInt64" in told, big=b"BigEndian" in told)
 
 
-def _as_before(out: Any, source: Any, *, narrow: bool) -> None:
+def as_before(out: Any, source: Any, *, narrow: bool) -> None:
     """Give arrays the types, names of components, information and roles of those of a dataset.
 
     Legacy files have 32 bits for ids, too `narrow` for some: these are numbers of 64 bits there.

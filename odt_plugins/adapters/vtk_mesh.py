@@ -38,14 +38,7 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
 
 def write(result: Result, host: HostMesh) -> Any:
     """Copy the caller's object and exchange its points, cells and cell data."""
-    out, source = pyvista_mesh.write(result, host).data, host.source.data
-    for new, old in ((out.GetPointData(), source.GetPointData()),
-                     (out.GetCellData(), source.GetCellData())):
-        for kind in range(old.NUM_ATTRIBUTES):
-            array = old.GetAbstractAttribute(kind)
-            if array is not None and array.GetName():
-                new.SetActiveAttribute(array.GetName(), kind)
-    return out
+    return pyvista_mesh.write(result, host).data
 
 
 class Dataset:
@@ -171,9 +164,7 @@ class Arrays:
         else:
             flat = np.ascontiguousarray(values).reshape(len(values), old.GetNumberOfComponents())
             new.DeepCopy(numpy_to_vtk(flat, deep=True))
-            new.SetLookupTable(old.GetLookupTable())
         new.SetName(name)
-        new.CopyComponentNames(old)
         self.data.AddArray(new)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import subprocess
 import sys
 
@@ -89,3 +90,28 @@ def test_other_objects_of_vtk_are_refused():
                                            np.eye(15)[:, :3]))
     with pytest.raises(UnsupportedMeshError, match="type QUADRATIC_WEDGE"):
         odt_plugins.optimize(grid)
+
+
+@pytest.mark.parametrize("verb", [odt_plugins.optimize, functools.partial(
+    odt_plugins.remesh, scale=0.8)])
+def test_names_of_components_colour_tables_and_ids_survive_in_pyvista(verb):
+    pyvista = pytest.importorskip("pyvista")
+    from vtkmodules.vtkCommonCore import vtkLookupTable
+
+    points, cells, _ = contract.grid(3, 4)
+    mesh = pyvista.UnstructuredGrid({10: cells}, points)
+    mesh.point_data["wind"], mesh.cell_data["flux"] = points, points[cells].mean(axis=1)
+    mesh.cell_data["id"] = np.arange(len(cells))
+    for array in (mesh.GetPointData().GetArray("wind"), mesh.GetCellData().GetArray("flux")):
+        for i, name in enumerate("uvw"):
+            array.SetComponentName(i, name)
+    ids = mesh.GetCellData().GetArray("id")
+    ids.SetLookupTable(vtkLookupTable())
+    mesh.GetCellData().SetPedigreeIds(ids)
+    out = verb(mesh)
+    assert (out.n_points, out.n_cells) != (mesh.n_points, mesh.n_cells)
+    for array in (out.GetPointData().GetArray("wind"), out.GetCellData().GetArray("flux")):
+        assert [array.GetComponentName(i) for i in range(3)] == ["u", "v", "w"]
+    assert out.GetCellData().GetArray("id").GetLookupTable() is not None
+    assert out.GetCellData().GetPedigreeIds().GetName() == "id"
+    assert np.abs(out.point_data["wind"] - out.points).max() < 1e-12
