@@ -16,7 +16,8 @@ from odt_plugins.adapters.regions import are_names
 from odt_plugins.errors import counted
 from odt_plugins.mesh.arrays import FloatArray
 from odt_plugins.mesh.bernstein import jacobian_bounds
-from odt_plugins.mesh.simplex import FLAT, cell_signs, vertex_mask
+from odt_plugins.mesh.numbers import vertex_mask
+from odt_plugins.mesh.simplex import FLAT, cell_signs
 
 if TYPE_CHECKING:
     from odt_plugins.options import Options

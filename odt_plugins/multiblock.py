@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from odt_plugins.adapters import open3d_model, pyvista_blocks, trimesh_scene
 from odt_plugins.adapters.registry import find_adapter
 from odt_plugins.errors import InvalidOptionError, ODTError, counted
-from odt_plugins.mesh.simplex import vertex_mask
+from odt_plugins.mesh.numbers import vertex_mask
 from odt_plugins.progress import part, telling
 
 WHOLES: tuple[Any, ...] = (pyvista_blocks, trimesh_scene, open3d_model)

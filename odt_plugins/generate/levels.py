@@ -31,7 +31,8 @@ from odt_plugins.generate.uniform import uniform_refine
 from odt_plugins.keywords import OptionKeywords, with_option_signature
 from odt_plugins.mesh.arrays import BoolArray
 from odt_plugins.mesh.facets import row_keys
-from odt_plugins.mesh.simplex import SimplexMesh, compact_labels, diagonal, mesh_arrays, vertex_mask
+from odt_plugins.mesh.numbers import vertex_mask
+from odt_plugins.mesh.simplex import SimplexMesh, compact_labels, diagonal, mesh_arrays
 from odt_plugins.options import EDGE_LENGTH, Options, Progress, make_options
 from odt_plugins.progress import part, telling
 

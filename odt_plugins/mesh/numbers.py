@@ -1,13 +1,14 @@
-"""What a caller gives as numbers, as floats."""
+"""What a caller gives as numbers: floats, masks, indices."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from odt_plugins.errors import InvalidOptionError
-from odt_plugins.mesh.arrays import FloatArray
+from odt_plugins.mesh.arrays import BoolArray, FloatArray
 
 
 def real_numbers(raw: Any, what: str, expected: str) -> FloatArray:
@@ -26,3 +27,43 @@ def real_numbers(raw: Any, what: str, expected: str) -> FloatArray:
     except (TypeError, ValueError) as exc:
         msg = f"got {what}: {exc}; expected {expected}"
         raise InvalidOptionError(msg) from exc
+
+
+def vertex_mask(value: ArrayLike | None, count: int, name: str, what: str) -> BoolArray:
+    """Bring a mask or a list of indices into a mask (count,).
+
+    Raises
+    ------
+    InvalidOptionError    it is neither, or may be meant as a mask and has no truth values
+    """
+    mask = np.zeros(count, dtype=np.bool_)
+    if value is None:
+        return mask
+    if isinstance(value, str):
+        msg = (f"got {name}={value!r}; expected a boolean mask of the {what} ({count},) or a list "
+               f"of their indices, try the array of that name itself")
+        raise InvalidOptionError(msg)
+    raw = np.asarray(value)
+    if raw.dtype.kind == "b":
+        if raw.shape != (count,):
+            msg = f"{name} is a mask of shape {raw.shape}; expected ({count},), as many as {what}"
+            raise InvalidOptionError(msg)
+        return raw.copy()
+    if raw.size == 0:
+        return mask
+    if raw.ndim != 1 or raw.dtype.kind not in "iu":
+        msg = (f"{name} has dtype {raw.dtype} and shape {raw.shape}; expected a boolean mask of "
+               f"the {what} ({count},) or a list of their indices")
+        raise InvalidOptionError(msg)
+    bad = np.flatnonzero((raw < 0) | (raw >= count))
+    if bad.size:
+        msg = (f"{name}[{bad[0]}] is {raw[bad[0]]} ({bad.size} out of range); expected indices of "
+               f"{what} from 0 to {count - 1}")
+        raise InvalidOptionError(msg)
+    if raw.size > 2 and raw.max() <= 1:
+        msg = (f"got {name} with {raw.size} numbers that all are 0 or 1, as of a mask; expected a "
+               f"boolean mask of the {what} ({count},) or a list of their indices, each once, try "
+               f"{name}.astype(bool)")
+        raise InvalidOptionError(msg)
+    mask[raw] = True
+    return mask

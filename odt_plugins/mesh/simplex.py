@@ -17,6 +17,7 @@ from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.mesh.chunks import chunks, spread
 from odt_plugins.mesh.faces import Faces, no_faces
 from odt_plugins.mesh.facets import UnevenFacets, directed_facets, row_keys, uneven_facets
+from odt_plugins.mesh.numbers import vertex_mask
 
 FLAT = 1e-14
 """A cell is flat when d! |volume| <= FLAT * (its extent)^d: the rounding error of that volume."""
@@ -474,36 +475,6 @@ def compact_labels(regions: ArrayLike | None, m: int) -> IntArray:
                f"regions.astype(int)")
         raise InvalidOptionError(msg)
     return np.unique(raw, return_inverse=True)[1].astype(np.int32)
-
-
-def vertex_mask(value: ArrayLike | None, count: int, name: str, what: str) -> BoolArray:
-    """Bring a mask or a list of indices into a mask (count,)."""
-    mask = np.zeros(count, dtype=np.bool_)
-    if value is None:
-        return mask
-    if isinstance(value, str):
-        msg = (f"got {name}={value!r}; expected a boolean mask of the {what} ({count},) or a list "
-               f"of their indices, try the array of that name itself")
-        raise InvalidOptionError(msg)
-    raw = np.asarray(value)
-    if raw.dtype.kind == "b":
-        if raw.shape != (count,):
-            msg = f"{name} is a mask of shape {raw.shape}; expected ({count},), as many as {what}"
-            raise InvalidOptionError(msg)
-        return raw.copy()
-    if raw.size == 0:
-        return mask
-    if raw.ndim != 1 or raw.dtype.kind not in "iu":
-        msg = (f"{name} has dtype {raw.dtype} and shape {raw.shape}; expected a boolean mask of "
-               f"the {what} ({count},) or a list of their indices")
-        raise InvalidOptionError(msg)
-    bad = np.flatnonzero((raw < 0) | (raw >= count))
-    if bad.size:
-        msg = (f"{name}[{bad[0]}] is {raw[bad[0]]} ({bad.size} out of range); expected indices of "
-               f"{what} from 0 to {count - 1}")
-        raise InvalidOptionError(msg)
-    mask[raw] = True
-    return mask
 
 
 def _where(indices: NDArray[np.integer], noun: str) -> str:

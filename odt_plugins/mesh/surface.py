@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from odt_plugins.errors import InvalidMeshError, counted
 from odt_plugins.mesh.arrays import BoolArray, IntArray
 from odt_plugins.mesh.components import components
+from odt_plugins.mesh.numbers import vertex_mask
 from odt_plugins.mesh.simplex import (
     SimplexMesh,
     check_vertices,
@@ -18,7 +19,6 @@ from odt_plugins.mesh.simplex import (
     mesh_arrays,
     refuse_repeated,
     reverse,
-    vertex_mask,
 )
 
 FEW = 0.05

@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.mesh.components import components
 from odt_plugins.mesh.facets import directed_facets, row_keys
+from odt_plugins.mesh.numbers import vertex_mask
 from odt_plugins.mesh.simplex import (
     SimplexMesh,
     cell_signs,
@@ -17,7 +18,6 @@ from odt_plugins.mesh.simplex import (
     mesh_arrays,
     refuse_overlaps,
     reverse,
-    vertex_mask,
 )
 
 

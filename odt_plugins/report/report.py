@@ -16,8 +16,9 @@ from numpy.typing import ArrayLike, NDArray
 from odt_plugins.errors import UnsupportedMeshError
 from odt_plugins.figures import QualitySummary, cell_figures, summarize, volumes
 from odt_plugins.mesh.numbering import in_old_numbers
+from odt_plugins.mesh.numbers import vertex_mask
 from odt_plugins.mesh.seen import as_seen
-from odt_plugins.mesh.simplex import SimplexMesh, vertex_mask
+from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.options import Options, Smoothing
 from odt_plugins.promise.volume import held_by, held_vertices
 from odt_plugins.report.binding import BindingCell, Freeing, binding_cells

@@ -200,6 +200,9 @@ BAD_OPTIONS = {
     "fixed negative": ({"fixed": [-1]}, r"fixed\[0\] is -1"),
     "fixed type": ({"fixed": [0.5]}, r"fixed has dtype float64.*boolean mask"),
     "fixed table": ({"fixed": np.zeros((2, 2), int)}, r"fixed has dtype int64 and shape \(2, 2\)"),
+    "fixed zeros and ones": ({"fixed": np.arange(8, dtype=np.uint8) % 2},
+                             r"fixed with 8 numbers that all are 0 or 1.*fixed.astype\(bool\)"),
+    "selection zeros and ones": ({"selection": [0, 1, 1, 0, 1, 0]}, r"selection with 6 numbers"),
     "selection length": ({"selection": np.ones(8, bool)}, r"selection is a mask .*\(6,\)"),
     "selection index": ({"selection": [6]}, r"selection\[0\] is 6.*cells from 0 to 5"),
 }
