@@ -14,7 +14,7 @@ import numpy as np
 from odt_plugins.adapters.files import check_output, expect_same_kind, read_file, write_file
 from odt_plugins.adapters.host import words_of
 from odt_plugins.adapters.registry import find_adapter
-from odt_plugins.errors import InvalidOptionError, UnsupportedMeshError
+from odt_plugins.errors import InvalidOptionError, UnsupportedMeshError, plain_values
 from odt_plugins.keywords import RUN, OptionKeywords, RunKeywords, with_option_signature
 from odt_plugins.mesh.simplex import mesh_arrays, turned_alike
 from odt_plugins.multiblock import has_parts, run_parts
@@ -136,7 +136,7 @@ def _optimized(mesh: Any, how: dict[str, Any], *, tell: bool) -> tuple[Any, Any]
     if how.get("target") is not None:
         return how["target"], optimize_file(mesh, **how)
     options = {name: value for name, value in how.items() if name not in RUN}
-    run = RUN | {name: value for name, value in how.items() if name in RUN}
+    run = RUN | {name: plain_values(name, value) for name, value in how.items() if name in RUN}
     lost = next((name for name in ("file_format", "binary") if run[name] is not None), None)
     if lost is not None:
         msg = f"got {lost}={run[lost]!r} without a file; expected target= beside it"

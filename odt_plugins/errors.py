@@ -154,7 +154,8 @@ def endless_walk(vertex: int) -> EndlessWalkError:
 
 
 def plain_values(name: str, values: Any, error: type[ODTError] = InvalidOptionError) -> Any:
-    """Give a tensor of open3d or another library as an array of numpy, anything else as it is.
+    """Give a tensor of open3d or another library as an array of numpy, a number of numpy as one of
+    Python, which does not overflow, and anything else as it is.
 
     Raises
     ------
@@ -168,6 +169,8 @@ def plain_values(name: str, values: Any, error: type[ODTError] = InvalidOptionEr
         msg = (f"{name} has {what} (first: at index {first}); expected none, try "
                f"{name}.filled(...), or leave out what is masked")
         raise error(msg)
+    if isinstance(values, numbers.Number) and hasattr(values, "item"):
+        return values.item()
     if not callable(getattr(values, "numpy", None)):
         return values
     return (values.cpu() if hasattr(values, "cpu") else values).numpy().copy()

@@ -157,7 +157,8 @@ def refine_with_report(
         raise InvalidOptionError(msg)
     check_levels(levels, edge_length, options)
     with telling(chosen.progress, "coarse mesh") as tell:
-        return _refined(mesh, levels, surface, edge_length, options, replace(chosen, progress=tell))
+        return _refined(mesh, int(levels), surface, edge_length, options,
+                        replace(chosen, progress=tell))
 
 
 def _refined(

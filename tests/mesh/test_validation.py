@@ -583,3 +583,21 @@ def test_degenerate_triangles_in_space_are_refused():
     line = np.linspace([0.0, 0, 0], [1.0, 2, 3], 3)
     with pytest.raises(InvalidMeshError, match="zero area"):
         odt_plugins.optimize((line, np.array([[0, 1, 2]])))
+
+
+@pytest.mark.parametrize("options", [
+    {"cells": np.int8(100)}, {"cells": np.uint8(200)}, {"vertices": np.int8(100)}])
+def test_small_numbers_of_numpy_ask_for_what_plain_ones_do(options):
+    plain = {name: int(value) for name, value in options.items()}
+    mesh = contract.grid(3, 6)[:2]
+    points, cells = odt_plugins.remesh(mesh, **options)
+    alike = odt_plugins.remesh(mesh, **plain)
+    assert (len(points), len(cells)) == (len(alike[0]), len(alike[1]))
+    assert np.array_equal(points, alike[0])
+
+
+def test_small_numbers_of_numpy_count_threads_blocks_and_levels():
+    mesh = contract.grid(3, 3)[:2]
+    for options in ({"threads": np.int16(2)}, {"blocks": np.int64(1)}):
+        assert len(odt_plugins.optimize(mesh, **options)[1])
+    assert len(odt_plugins.refine(mesh, np.int8(1))[1]) > len(mesh[1])
