@@ -16,6 +16,7 @@ from odt_plugins.adapters.host import words_of
 from odt_plugins.adapters.registry import find_adapter
 from odt_plugins.errors import InvalidOptionError, UnsupportedMeshError, plain_values
 from odt_plugins.keywords import RUN, OptionKeywords, RunKeywords, with_option_signature
+from odt_plugins.mesh.numbers import even_rows
 from odt_plugins.mesh.simplex import mesh_arrays, turned_alike
 from odt_plugins.multiblock import has_parts, run_parts
 from odt_plugins.options import OF_UNTANGLING, OPTIONS, SMOOTHING, STAYS, expect_known, make_options
@@ -295,7 +296,7 @@ def _untangled(mesh: Any, options: Options, rest: Any, *, partial: bool) -> tupl
     """What :func:`run_engine` gives, with the mesh untangled and left so."""
     places = rest
     if isinstance(rest, list) and np.ndim(rest[:1]) == 2:
-        places = np.asarray(rest)
+        places = even_rows("rest", rest)
     elif rest is not None and not isinstance(rest, np.ndarray):
         places = np.asarray(find_adapter(rest).read(rest).points)
     return run_engine(mesh, options, _as_it_is, Wanted(

@@ -21,6 +21,9 @@ if TYPE_CHECKING:
     from typing import Any
 
 
+LONGEST = 200
+"""Letters of the text of a value up to which a message has it."""
+
 INSIDE = (os.path.dirname(os.path.abspath(__file__)) + os.sep, contextlib.__file__)
 """Where the files of the package begin, and what may stand between two of their functions."""
 
@@ -126,9 +129,15 @@ def is_number(value: object) -> bool:
 
 
 def expect(good: bool, name: str, value: object, expected: str) -> None:
-    """Refuse the value of an option that is not good, by an InvalidOptionError."""
+    """Refuse the value of an option that is not good, by an InvalidOptionError.
+
+    A value whose text is long or has several lines is told by its type.
+    """
     if not good:
-        msg = f"got {name}={value!r}; expected {expected}"
+        text = repr(value)
+        told = text if len(text) <= LONGEST and "\n" not in text else (
+            f" of type {type(value).__name__}")
+        msg = f"got {name}={told}; expected {expected}"
         raise InvalidOptionError(msg)
 
 

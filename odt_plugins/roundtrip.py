@@ -54,6 +54,7 @@ from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.bodies import of_bodies
 from odt_plugins.mesh.layers import keep_layers
 from odt_plugins.mesh.numbering import in_old_numbers, most_vertices, new_numbers, old_numbers
+from odt_plugins.mesh.numbers import even_rows
 from odt_plugins.mesh.plane import PlaneFrame, plane_frame
 from odt_plugins.mesh.simplex import SimplexMesh, compact_labels, mesh_arrays, reverse, simplex_mesh
 from odt_plugins.mesh.soup import at_copies, same_places
@@ -256,7 +257,7 @@ def _prepare(mesh: Any, options: Options, wanted: Wanted) -> tuple[Prepared, Hos
     host = adapter.read(mesh, CHARTS) if names == CHARTS and not keep_seams else host
     options = of_optimised(options, host)
     if not are_names(options.regions):
-        host = replace(host, regions=np.asarray(options.regions))
+        host = replace(host, regions=even_rows("regions", options.regions))
     with words_of(host):
         if options.insert:
             expect_tetrahedra(host)

@@ -26,7 +26,7 @@ from odt_plugins.engine.surface.driver import surface_kept, surface_outcome, sur
 from odt_plugins.engine.surface.judge import Distance, Kept
 from odt_plugins.engine.surface.judge import faults as surface_faults
 from odt_plugins.engine.topology.part import rings
-from odt_plugins.errors import InvalidOptionError
+from odt_plugins.errors import InvalidOptionError, expect
 from odt_plugins.mesh.arrays import BoolArray, IntArray
 from odt_plugins.mesh.numbering import most_vertices, without_removed
 from odt_plugins.mesh.seen import NO_METRIC, as_seen
@@ -335,9 +335,8 @@ def check(blocks: int, rounds: int, workers: int, options: Options, *, several: 
     """Refuse values out of range, and options that do not go with blocks."""
     given = (("blocks", blocks, 1), ("block_rounds", rounds, 1), ("workers", workers, 0))
     for name, value, least in given:
-        if not isinstance(value, int) or isinstance(value, bool) or value < least:
-            msg = f"got {name}={value!r}; expected an integer of at least {least}"
-            raise InvalidOptionError(msg)
+        good = isinstance(value, int) and not isinstance(value, bool) and value >= least
+        expect(good, name, value, f"an integer of at least {least}")
     if several and callable(options.density):
         _expect_picklable(options.density)
 

@@ -21,7 +21,7 @@ from odt_plugins.api import optimize_with_report
 from odt_plugins.carry import surrounding_cells
 from odt_plugins.engine.cells.geometry import boundary_facets, interface_vertices
 from odt_plugins.engine.ground.envelope import distances
-from odt_plugins.errors import InvalidOptionError, ODTWarning, warn
+from odt_plugins.errors import InvalidOptionError, ODTWarning, expect, warn
 from odt_plugins.figures import volumes
 from odt_plugins.generate.coarse import coarse_mesh
 from odt_plugins.generate.levels_report import Level, LevelsReport
@@ -239,13 +239,10 @@ def check_levels(levels: Any, edge_length: Any, options: Mapping[str, Any]) -> N
         msg = "got reference= for levels, whose envelope is that of the surface; try surface="
         raise InvalidOptionError(msg)
     whole = isinstance(levels, Integral) and not isinstance(levels, bool)
-    if not (whole and int(levels) >= 0):
-        msg = f"got levels={levels!r}; expected an integer of at least 0"
-        raise InvalidOptionError(msg)
+    expect(whole and int(levels) >= 0, "levels", levels, "an integer of at least 0")
     good = isinstance(edge_length, Real) and not isinstance(edge_length, bool)
-    if not (good and 0 < edge_length < 1):
-        msg = f"got edge_length={edge_length!r}; expected a part of the diagonal, between 0 and 1"
-        raise InvalidOptionError(msg)
+    expect(good and 0 < edge_length < 1, "edge_length", edge_length,
+           "a part of the diagonal, between 0 and 1")
     if not are_names(options.get("regions")):
         msg = ("got regions as an array; expected the name of a cell array, try (points, cells, "
                "regions) as the mesh")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from odt_plugins.errors import InvalidOptionError
 from odt_plugins.mesh.arrays import BoolArray, FloatArray
@@ -29,6 +29,21 @@ def real_numbers(raw: Any, what: str, expected: str) -> FloatArray:
         raise InvalidOptionError(msg) from exc
 
 
+def even_rows(name: str, values: Any) -> NDArray[Any]:
+    """Give the value of an option as an array.
+
+    Raises
+    ------
+    InvalidOptionError    it has rows of several lengths
+    """
+    try:
+        return np.asarray(values)
+    except ValueError as exc:
+        msg = (f"got {name} with rows of several lengths; expected one value each, or rows of one "
+               f"length")
+        raise InvalidOptionError(msg) from exc
+
+
 def vertex_mask(value: ArrayLike | None, count: int, name: str, what: str) -> BoolArray:
     """Bring a mask or a list of indices into a mask (count,).
 
@@ -43,7 +58,7 @@ def vertex_mask(value: ArrayLike | None, count: int, name: str, what: str) -> Bo
         msg = (f"got {name}={value!r}; expected a boolean mask of the {what} ({count},) or a list "
                f"of their indices, try the array of that name itself")
         raise InvalidOptionError(msg)
-    raw = np.asarray(value)
+    raw = even_rows(name, value)
     if raw.dtype.kind == "b":
         if raw.shape != (count,):
             msg = f"{name} is a mask of shape {raw.shape}; expected ({count},), as many as {what}"

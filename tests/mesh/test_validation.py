@@ -200,6 +200,12 @@ BAD_OPTIONS = {
     "fixed negative": ({"fixed": [-1]}, r"fixed\[0\] is -1"),
     "fixed type": ({"fixed": [0.5]}, r"fixed has dtype float64.*boolean mask"),
     "fixed table": ({"fixed": np.zeros((2, 2), int)}, r"fixed has dtype int64 and shape \(2, 2\)"),
+    "fixed uneven": ({"fixed": [[1], [2, 3]]}, r"got fixed with rows of several lengths; expected"),
+    "selection uneven": ({"selection": [1, [2]]}, r"got selection with rows of several lengths"),
+    "regions uneven": ({"regions": [1, [2]]}, r"got regions with rows of several lengths"),
+    "envelope array": ({"envelope": np.ones((99, 3))}, r"got envelope= of type ndarray; expected"),
+    "threads list": ({"threads": list(range(99))}, r"got threads= of type list; expected an int"),
+    "blocks array": ({"blocks": np.ones(99)}, r"got blocks= of type ndarray; expected an integer"),
     "fixed zeros and ones": ({"fixed": np.arange(8, dtype=np.uint8) % 2},
                              r"fixed with 8 numbers that all are 0 or 1.*fixed.astype\(bool\)"),
     "selection zeros and ones": ({"selection": [0, 1, 1, 0, 1, 0]}, r"selection with 6 numbers"),
@@ -601,3 +607,16 @@ def test_small_numbers_of_numpy_count_threads_blocks_and_levels():
     for options in ({"threads": np.int16(2)}, {"blocks": np.int64(1)}):
         assert len(odt_plugins.optimize(mesh, **options)[1])
     assert len(odt_plugins.refine(mesh, np.int8(1))[1]) > len(mesh[1])
+
+
+@pytest.mark.parametrize(("verb", "options", "message"), [
+    (odt_plugins.remesh, {"size": [[1], [2, 3]]}, r"got size with rows of several lengths"),
+    (odt_plugins.remesh, {"scale": np.ones((99, 3))}, r"got scale= of type ndarray; expected a n"),
+    (odt_plugins.untangle, {"rest": [[1], [2, 3]]}, r"got rest with rows of several lengths"),
+    (odt_plugins.refine, {"levels": np.ones((99, 3))}, r"got levels= of type ndarray; expected"),
+    (odt_plugins.refine, {"edge_length": np.ones((99, 3))}, r"got edge_length= of type ndarray"),
+])
+def test_other_verbs_tell_long_and_uneven_values_in_one_sentence(verb, options, message):
+    with pytest.raises(InvalidOptionError, match=message) as caught:
+        verb(cube(), **options)
+    assert "\n" not in str(caught.value)
