@@ -402,7 +402,9 @@ def as_numpy(array: Any) -> NDArray[Any]:
     from vtkmodules.util.numpy_support import vtk_to_numpy
 
     if array.IsA("vtkStringArray"):
-        return np.array([array.GetValue(i) for i in range(array.GetNumberOfValues())], dtype=str)
+        texts = [array.GetValue(i) for i in range(array.GetNumberOfValues())]
+        width = array.GetNumberOfComponents()
+        return np.array(texts, dtype=str).reshape((-1, width) if width > 1 else -1)
     return np.array(vtk_to_numpy(array))
 
 
@@ -511,6 +513,7 @@ def _vtk(values: NDArray[Any]) -> Any:
 
     if values.dtype.kind in "US":
         texts = vtkStringArray()
+        texts.SetNumberOfComponents(max(1, values.size // max(1, len(values))))
         for text in values.ravel().tolist():
             texts.InsertNextValue(text)
         return texts

@@ -159,7 +159,7 @@ class Arrays:
         new = old.NewInstance()
         if new.IsA("vtkStringArray"):
             new.SetNumberOfComponents(old.GetNumberOfComponents())
-            for text in values.tolist():
+            for text in values.ravel().tolist():
                 new.InsertNextValue(text)
         else:
             flat = np.ascontiguousarray(values).reshape(len(values), old.GetNumberOfComponents())

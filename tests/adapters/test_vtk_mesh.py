@@ -92,6 +92,67 @@ def test_other_objects_of_vtk_are_refused():
         odt_plugins.optimize(grid)
 
 
+def with_two_texts(points, cells):
+    from vtkmodules.util.numpy_support import numpy_to_vtk
+    from vtkmodules.vtkCommonCore import vtkPoints, vtkStringArray
+    from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkUnstructuredGrid
+
+    mesh, places, rows = vtkUnstructuredGrid(), vtkPoints(), vtkCellArray()
+    places.SetData(numpy_to_vtk(points, deep=True))
+    mesh.SetPoints(places)
+    for cell in cells.tolist():
+        rows.InsertNextCell(4, cell)
+    mesh.SetCells(10, rows)
+    for data, count in ((mesh.GetPointData(), len(points)), (mesh.GetCellData(), len(cells))):
+        texts = vtkStringArray()
+        texts.SetName("two")
+        texts.SetNumberOfComponents(2)
+        for i in range(count):
+            texts.InsertNextValue(f"a{i}")
+            texts.InsertNextValue(f"b{i}")
+        data.AddArray(texts)
+    return mesh
+
+
+def pairs_of(array):
+    assert array.GetNumberOfComponents() == 2
+    texts = [array.GetValue(i) for i in range(array.GetNumberOfValues())]
+    return list(zip(texts[::2], texts[1::2], strict=True))
+
+
+@pytest.mark.parametrize("resize", [False, True])
+def test_several_texts_for_each_come_back(resize):
+    points, cells, _ = contract.grid(3, 4)
+    mesh = with_two_texts(points, cells)
+    out, report = odt_plugins.remesh_with_report(mesh, scale=0.8) if resize else (
+        odt_plugins.optimize_with_report(mesh))
+    origin = report.cell_origin.tolist()
+    assert len(origin) == out.GetNumberOfCells()
+    assert pairs_of(out.GetCellData().GetAbstractArray("two")) == [
+        (f"a{i}", f"b{i}") for i in origin]
+    named = pairs_of(out.GetPointData().GetAbstractArray("two"))
+    assert len(named) == out.GetNumberOfPoints()
+    assert all(one[1:] == other[1:] for one, other in named)
+
+
+def test_several_texts_for_each_come_back_in_files(tmp_path):
+    from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridReader, vtkXMLUnstructuredGridWriter
+
+    points, cells, _ = contract.grid(3, 4)
+    writer, reader = vtkXMLUnstructuredGridWriter(), vtkXMLUnstructuredGridReader()
+    writer.SetFileName(str(tmp_path / "in.vtu"))
+    writer.SetInputData(with_two_texts(points, cells))
+    writer.Write()
+    _, report = odt_plugins.optimize_with_report(tmp_path / "in.vtu", target=tmp_path / "out.vtu")
+    reader.SetFileName(str(tmp_path / "out.vtu"))
+    reader.Update()
+    out = reader.GetOutput()
+    assert pairs_of(out.GetCellData().GetAbstractArray("two")) == [
+        (f"a{i}", f"b{i}") for i in report.cell_origin.tolist()]
+    assert pairs_of(out.GetPointData().GetAbstractArray("two")) == [
+        (f"a{i}", f"b{i}") for i in range(len(points))]
+
+
 @pytest.mark.parametrize("verb", [odt_plugins.optimize, functools.partial(
     odt_plugins.remesh, scale=0.8)])
 def test_names_of_components_colour_tables_and_ids_survive_in_pyvista(verb):
