@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.errors import InvalidMeshError, counted
+from odt_plugins.errors import InvalidMeshError, UnsupportedMeshError, counted
 
 NOT_CELL_INDICES = ("gmsh:bounding_entities",)
 """Cell sets that hold something else than indices of cells."""
@@ -47,6 +47,28 @@ def expect_members(what: str, members: NDArray[Any], size: int) -> None:
         msg = (f"{what.format(has)}; expected indices from 0 to {size - 1} or a mask of shape "
                f"({size},)")
         raise InvalidMeshError(msg)
+
+
+def check_arrays_of_vtk(mesh: Any) -> None:
+    """See whether all arrays of a dataset of VTK can be read and have a value for each.
+
+    VTK leaves out what an array has beyond.
+
+    Raises
+    ------
+    InvalidMeshError        one is too short
+    UnsupportedMeshError    one holds neither numbers nor texts
+    """
+    for word, data, count in (("point", mesh.GetPointData(), mesh.GetNumberOfPoints()),
+                              ("cell", mesh.GetCellData(), mesh.GetNumberOfCells())):
+        for array in map(data.GetAbstractArray, range(data.GetNumberOfArrays())):
+            name = f"{word} data {array.GetName()!r}"
+            if not (array.IsA("vtkDataArray") or array.IsA("vtkStringArray")):
+                msg = (f"got {name} in a {array.GetClassName()}; expected numbers or texts, try "
+                       f"removing it")
+                raise UnsupportedMeshError(msg)
+            if array.GetNumberOfTuples() < count:
+                expect_one_each(name, range(array.GetNumberOfTuples()), count, word)
 
 
 def check_lengths(mesh: Any, chosen: Container[int]) -> None:

@@ -37,6 +37,7 @@ from odt_plugins.adapters.host import (
     faces_now,
     is_instance,
 )
+from odt_plugins.adapters.lengths import check_arrays_of_vtk
 from odt_plugins.adapters.normals import NORMALS, are_normals, renewed
 from odt_plugins.adapters.regions import region_labels
 from odt_plugins.adapters.vtk_files import as_before
@@ -103,8 +104,10 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
     Raises
     ------
     UnsupportedMeshError       no tetrahedra and no triangles, or cells that cannot be kept
+    InvalidMeshError           an array has too few values
     InvalidOptionError         there is no cell array of that name
     """
+    check_arrays_of_vtk(mesh)
     grid = mesh.IsA("vtkUnstructuredGrid")
     nodes, ids, kept = _read_grid(mesh) if grid else _read_polydata(mesh)
     dim = DIMENSION[int(np.asarray(mesh.celltypes)[ids[0]])] if grid and len(ids) else 2

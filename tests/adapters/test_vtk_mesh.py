@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import odt_plugins
-from odt_plugins.errors import UnsupportedMeshError
+from odt_plugins.errors import InvalidMeshError, UnsupportedMeshError
 
 pytest.importorskip("vtkmodules")
 
@@ -176,3 +176,21 @@ def test_names_of_components_colour_tables_and_ids_survive_in_pyvista(verb):
     assert out.GetCellData().GetArray("id").GetLookupTable() is not None
     assert out.GetCellData().GetPedigreeIds().GetName() == "id"
     assert np.abs(out.point_data["wind"] - out.points).max() < 1e-12
+
+
+@pytest.mark.parametrize("wrapped", [False, True])
+@pytest.mark.parametrize("where", ["Point", "Cell"])
+def test_arrays_that_are_too_short_or_of_variants_are_refused(where, wrapped):
+    pyvista = pytest.importorskip("pyvista")
+    from vtkmodules.vtkCommonCore import vtkDoubleArray, vtkVariantArray
+
+    points, cells, _ = contract.grid(3, 3)
+    for kind, error, told in ((vtkDoubleArray, InvalidMeshError, r"'wind' has 7 entries for \d+"),
+                              (vtkVariantArray, UnsupportedMeshError, "'wind' in a vtkVariantAr")):
+        mesh, array = with_two_texts(points, cells), kind()
+        array.SetName("wind")
+        array.SetNumberOfTuples(7)
+        getattr(mesh, f"Get{where}Data")().AddArray(array)
+        for verb in (odt_plugins.optimize, odt_plugins.quality):
+            with pytest.raises(error, match=f"{where.lower()} data {told}"):
+                verb(pyvista.UnstructuredGrid(mesh) if wrapped else mesh)
