@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 
 from odt_plugins.adapters.higher_order import check_mid_nodes, lattice, with_mid_nodes
 from odt_plugins.adapters.host import HostMesh, KeptCells, NewFaces, Result, is_instance
+from odt_plugins.adapters.lengths import expect_members
 from odt_plugins.adapters.regions import AUTO, Labels, region_labels
-from odt_plugins.errors import UnsupportedMeshError
+from odt_plugins.errors import InvalidMeshError, UnsupportedMeshError
 from odt_plugins.mesh.faces import Faces, labels_at
 
 ORDERS = {"MeshTri1": 1, "MeshTet1": 1, "MeshTri2": 2, "MeshTet2": 2}
@@ -44,6 +45,7 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
     Raises
     ------
     UnsupportedMeshError       cells other than triangles and tetrahedra, or none
+    InvalidMeshError           a subdomain or boundary is neither indices nor a mask
     InvalidOptionError         there is no subdomain of that name
     """
     # That of scikit-fem, of which a class of the caller's is made.
@@ -62,9 +64,10 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
     if order == 2:
         nodes = np.ascontiguousarray(mesh.dofs.element_dofs.T)
         check_mid_nodes(nodes, len(points), lattice(corners.shape[1] - 1, 2))
-    kept = [KeptCells("boundary facet", mesh.facets[:, np.asarray(facets)].T,
+    kept = [KeptCells("boundary facet", mesh.facets[:, facets].T,
                       np.zeros(len(facets), dtype=np.int64))
-            for facets in (mesh.boundaries or {}).values()]
+            for facets in (_chosen(facets, mesh.facets.shape[1], f"boundary {name!r}")
+                           for name, facets in (mesh.boundaries or {}).items())]
     labels = _labels(mesh, regions, corners)
     return HostMesh(points, corners, *labels, kept=tuple(kept), source=mesh, layout=nodes,
                     higher_order=order == 2, words=in_words,
@@ -98,7 +101,7 @@ def write(result: Result, host: HostMesh) -> Any:
     subdomains, boundaries = mesh.subdomains, mesh.boundaries
     inside = {name: _members(mesh, name) for name in subdomains or {}}
     if subdomains is not None:
-        subdomains = {name: np.flatnonzero(mask[result.source]).astype(subdomains[name].dtype)
+        subdomains = {name: _as_given(mask[result.source], subdomains[name])
                       for name, mask in inside.items()}
     if boundaries is not None:
         masks = np.array([*inside.values(), np.zeros(mesh.t.shape[1], dtype=np.bool_)])
@@ -125,8 +128,35 @@ def in_words(text: str) -> str:
 def _members(mesh: Any, name: str) -> NDArray[np.bool_]:
     """Which elements (m,) are in a subdomain."""
     inside = np.zeros(mesh.t.shape[1], dtype=np.bool_)
-    inside[np.asarray(mesh.subdomains[name])] = True
+    inside[_chosen(mesh.subdomains[name], len(inside), f"subdomain {name!r}")] = True
     return inside
+
+
+def _chosen(members: Any, count: int, what: str) -> NDArray[Any]:
+    """Indices of members that are given so, or by a mask.
+
+    Raises
+    ------
+    InvalidMeshError    they are neither
+    """
+    given = np.asarray(members)
+    given = given if given.size else given.astype(np.int64)
+    if given.dtype.kind not in "biu":
+        msg = f"{what} has numbers of dtype {given.dtype}; expected indices or a mask"
+        raise InvalidMeshError(msg)
+    if given.dtype == np.bool_:
+        expect_members(f"{what} has {{}}", given, count)
+        return np.flatnonzero(given)
+    expect_members(f"{what} has {{}}", np.where(given < 0, given + count, given), count)
+    return given
+
+
+def _as_given(mask: NDArray[np.bool_], old: Any) -> NDArray[Any]:
+    """Members in the form of old ones: a mask, or indices of their type."""
+    kind = np.asarray(old).dtype
+    if kind == np.bool_:
+        return mask
+    return np.flatnonzero(mask).astype(kind if kind.kind in "iu" else np.int64)
 
 
 def _labels(mesh: Any, regions: str | Sequence[str] | None, cells: NDArray[Any]) -> Labels:
@@ -155,7 +185,10 @@ def _moved_facets(
     """
     there = np.sort(new.facets.T, axis=1).astype(np.int32)
     found = labels_at(now.rows, Faces(there, np.arange(len(there), dtype=np.int32)))
-    found = found.astype(np.asarray(facets).dtype)
+    if np.asarray(facets).dtype == np.bool_:
+        return np.isin(np.arange(len(there)), found)
+    dtype = np.asarray(facets).dtype
+    found = found.astype(dtype if dtype.kind in "iu" else np.int64)
     kind, sides = type(facets), getattr(facets, "ori", None)
     if sides is None:
         return found

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import contract
 import numpy as np
 import pytest
@@ -180,3 +182,41 @@ def test_resized_boundaries_point_out_of_a_subdomain_that_another_one_parts(seed
     found, wanted = out.boundaries["around"], out.facets_around("part")
     assert (dict(zip(found.tolist(), found.ori.tolist(), strict=True))
             == dict(zip(wanted.tolist(), wanted.ori.tolist(), strict=True)))
+
+
+@pytest.mark.parametrize("resize", [False, True])
+def test_subdomains_and_boundaries_may_be_masks_and_lists(resize):
+    points, cells, _ = contract.grid(3, 5)
+    mesh = skfem.MeshTet(np.ascontiguousarray(points.T), np.ascontiguousarray(cells.T))
+    middle, outer = points[mesh.t.T].mean(axis=1), mesh.facets_satisfying(
+        lambda x: np.isclose(x[0], points[:, 0].min()))
+    left = middle[:, 0] < np.median(middle[:, 0])
+    side = np.isin(np.arange(mesh.facets.shape[1]), outer)
+    index = dataclasses.replace(mesh, _subdomains={"left": np.flatnonzero(left)},
+                                _boundaries={"side": outer})
+    masked = dataclasses.replace(mesh, _subdomains={"left": left}, _boundaries={"side": side})
+    listed = dataclasses.replace(mesh, _subdomains={"left": np.flatnonzero(left).tolist()},
+                                 _boundaries={"side": outer.tolist()})
+    out, by_mask, by_list = (
+        odt_plugins.remesh(one, scale=0.9) if resize else odt_plugins.optimize(one)
+        for one in (index, masked, listed))
+    assert out.t.shape != mesh.t.shape
+    assert by_mask.subdomains["left"].dtype == by_mask.boundaries["side"].dtype == np.bool_
+    assert by_mask.subdomains["left"].shape == (by_mask.t.shape[1],)
+    assert by_mask.boundaries["side"].shape == (by_mask.facets.shape[1],)
+    for name, members in (("subdomains", "left"), ("boundaries", "side")):
+        known = np.sort(getattr(out, name)[members])
+        assert np.array_equal(np.flatnonzero(getattr(by_mask, name)[members]), known)
+        assert np.array_equal(np.sort(getattr(by_list, name)[members]), known)
+
+
+@pytest.mark.parametrize("members", [[99999], np.ones(3, dtype=bool), [0.5]])
+@pytest.mark.parametrize("what", ["subdomain", "boundary"])
+def test_members_out_of_range_are_refused_by_the_name_of_their_set(what, members):
+    points, cells, _ = contract.grid(3, 3)
+    where = {"subdomain": "_subdomains", "boundary": "_boundaries"}[what]
+    mesh = dataclasses.replace(
+        skfem.MeshTet(np.ascontiguousarray(points.T), np.ascontiguousarray(cells.T)),
+        **{where: {"part": np.asarray(members)}})
+    with pytest.raises(InvalidMeshError, match=rf"^{what} 'part' has .*; expected indices"):
+        odt_plugins.optimize(mesh)
