@@ -31,6 +31,14 @@ def expect_one_each(
     return found
 
 
+def from_start(members: NDArray[Any], size: int) -> NDArray[Any]:
+    """Indices from the start, where negative ones are from the end as in NumPy; a mask as it is."""
+    if members.dtype == np.bool_:
+        return members
+    wide = members.astype(np.int64) if members.dtype.kind in "iu" else members
+    return np.where(wide < 0, wide + size, wide)
+
+
 def expect_members(what: str, members: NDArray[Any], size: int) -> None:
     """See whether members are indices of so many things, or a mask of them.
 
@@ -87,9 +95,7 @@ def check_lengths(mesh: Any, chosen: Container[int]) -> None:
     for name, values in mesh.point_data.items():
         expect_one_each(f"point data {name!r}", values, n, "point")
     for name, members in mesh.point_sets.items():
-        given = np.asarray([] if members is None else members)
-        # Indices from the end are what NumPy takes.
-        given = given if given.dtype == np.bool_ else np.where(given < 0, given + n, given)
+        given = from_start(np.asarray([] if members is None else members), n)
         expect_members(f"point set {name!r} has {{}}", given, n)
     for kind, data in (("data", mesh.cell_data), ("set", mesh.cell_sets)):
         for name, parts in data.items():

@@ -19,8 +19,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.adapters.higher_order import check_mid_nodes, lattice, with_mid_nodes
-from odt_plugins.adapters.host import HostMesh, KeptCells, NewFaces, Result, is_instance
-from odt_plugins.adapters.lengths import expect_members
+from odt_plugins.adapters.host import (
+    HostMesh,
+    KeptCells,
+    NewFaces,
+    Result,
+    as_indices,
+    is_instance,
+)
+from odt_plugins.adapters.lengths import expect_members, from_start
 from odt_plugins.adapters.regions import AUTO, Labels, region_labels
 from odt_plugins.errors import InvalidMeshError, UnsupportedMeshError
 from odt_plugins.mesh.faces import Faces, labels_at
@@ -139,7 +146,7 @@ def _chosen(members: Any, count: int, what: str) -> NDArray[Any]:
     ------
     InvalidMeshError    they are neither
     """
-    given = np.asarray(members)
+    given = np.ravel(members)
     given = given if given.size else given.astype(np.int64)
     if given.dtype.kind not in "biu":
         msg = f"{what} has numbers of dtype {given.dtype}; expected indices or a mask"
@@ -147,16 +154,15 @@ def _chosen(members: Any, count: int, what: str) -> NDArray[Any]:
     if given.dtype == np.bool_:
         expect_members(f"{what} has {{}}", given, count)
         return np.flatnonzero(given)
-    expect_members(f"{what} has {{}}", np.where(given < 0, given + count, given), count)
+    given = from_start(given, count)
+    expect_members(f"{what} has {{}}", given, count)
     return given
 
 
 def _as_given(mask: NDArray[np.bool_], old: Any) -> NDArray[Any]:
-    """Members in the form of old ones: a mask, or indices of their type."""
-    kind = np.asarray(old).dtype
-    if kind == np.bool_:
-        return mask
-    return np.flatnonzero(mask).astype(kind if kind.kind in "iu" else np.int64)
+    """Members in the form of old ones: a mask, or indices."""
+    like = np.asarray(old)
+    return mask if like.dtype == np.bool_ else as_indices(np.flatnonzero(mask), like)
 
 
 def _labels(mesh: Any, regions: str | Sequence[str] | None, cells: NDArray[Any]) -> Labels:
@@ -187,8 +193,7 @@ def _moved_facets(
     found = labels_at(now.rows, Faces(there, np.arange(len(there), dtype=np.int32)))
     if np.asarray(facets).dtype == np.bool_:
         return np.isin(np.arange(len(there)), found)
-    dtype = np.asarray(facets).dtype
-    found = found.astype(dtype if dtype.kind in "iu" else np.int64)
+    found = as_indices(found, np.asarray(facets))
     kind, sides = type(facets), getattr(facets, "ori", None)
     if sides is None:
         return found

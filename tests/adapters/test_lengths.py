@@ -46,3 +46,15 @@ def test_blocks_beside_the_cells_may_be_without_data():
     out = odt_plugins.optimize(mesh)
     assert out.cell_data["a"][1] is None
     assert out.cell_sets["b"][0] is None
+
+
+@pytest.mark.parametrize("kind", [np.uint8, np.int8])
+def test_point_sets_may_be_of_few_bits(kind):
+    points, cells, _ = contract.grid(3, 6)
+    assert len(points) > np.iinfo(kind).max
+    members = np.array([5, 7, 100])
+    out, alike = (odt_plugins.remesh(meshio.Mesh(
+        points, [("tetra", cells)], point_sets={"some": one}), scale=0.8)
+        for one in (members, members.astype(kind)))
+    assert np.array_equal(out.cells[0].data, alike.cells[0].data)
+    assert np.array_equal(out.point_sets["some"], alike.point_sets["some"])

@@ -220,3 +220,23 @@ def test_members_out_of_range_are_refused_by_the_name_of_their_set(what, members
         **{where: {"part": np.asarray(members)}})
     with pytest.raises(InvalidMeshError, match=rf"^{what} 'part' has .*; expected indices"):
         odt_plugins.optimize(mesh)
+
+
+@pytest.mark.parametrize("resize", [False, True])
+@pytest.mark.parametrize("kind", [np.uint8, np.int8, tuple])
+def test_indices_of_few_bits_and_of_nonzero_name_what_others_do(kind, resize):
+    points, cells, _ = contract.grid(3, 5)
+    mesh = skfem.MeshTet(np.ascontiguousarray(points.T), np.ascontiguousarray(cells.T))
+    outer = mesh.boundary_facets()
+    members, side = np.arange(100), outer[outer < 127]
+    assert mesh.t.shape[1] > 256
+    known, given = (dataclasses.replace(
+        mesh, _subdomains={"part": some(members)}, _boundaries={"side": some(side)})
+        for some in (np.asarray, lambda row: (row,) if kind is tuple else row.astype(kind)))
+    out, alike = (odt_plugins.remesh(one, scale=0.6) if resize else odt_plugins.optimize(one)
+                  for one in (known, given))
+    assert out.t.shape != mesh.t.shape
+    for one, other in ((out.subdomains["part"], alike.subdomains["part"]),
+                       (out.boundaries["side"], alike.boundaries["side"])):
+        assert one.max() > np.iinfo(np.int8).max or not resize
+        assert np.array_equal(one, other)
