@@ -232,8 +232,11 @@ def as_before(out: Any, source: Any, *, narrow: bool) -> None:
             for k in range(was.GetNumberOfComponents() if was.HasAComponentName() else 0):
                 if was.GetComponentName(k):
                     now.SetComponentName(k, was.GetComponentName(k))
-            if getattr(was, "GetLookupTable", lambda: None)() is not None:
-                now.SetLookupTable(was.GetLookupTable())
+            table = getattr(was, "GetLookupTable", lambda: None)()
+            if table is not None:
+                own = table.NewInstance()
+                own.DeepCopy(table)
+                now.SetLookupTable(own)
         for role in range(vtkDataSetAttributes.NUM_ATTRIBUTES) if old.IsA(
                 "vtkDataSetAttributes") else ():
             active = old.GetAbstractAttribute(role)

@@ -168,12 +168,18 @@ def test_names_of_components_colour_tables_and_ids_survive_in_pyvista(verb):
             array.SetComponentName(i, name)
     ids = mesh.GetCellData().GetArray("id")
     ids.SetLookupTable(vtkLookupTable())
+    ids.GetLookupTable().SetNumberOfTableValues(7)
+    for i in range(7):
+        ids.GetLookupTable().SetTableValue(i, 0.7, 0.8, 0.9)
     mesh.GetCellData().SetPedigreeIds(ids)
     out = verb(mesh)
     assert (out.n_points, out.n_cells) != (mesh.n_points, mesh.n_cells)
     for array in (out.GetPointData().GetArray("wind"), out.GetCellData().GetArray("flux")):
         assert [array.GetComponentName(i) for i in range(3)] == ["u", "v", "w"]
-    assert out.GetCellData().GetArray("id").GetLookupTable() is not None
+    table = out.GetCellData().GetArray("id").GetLookupTable()
+    table.SetTableValue(0, 0.1, 0.2, 0.3)
+    assert ids.GetLookupTable().GetNumberOfTableValues() == 7
+    assert ids.GetLookupTable().GetTableValue(0) == table.GetTableValue(1)
     assert out.GetCellData().GetPedigreeIds().GetName() == "id"
     assert np.abs(out.point_data["wind"] - out.points).max() < 1e-12
 
