@@ -40,7 +40,7 @@ from odt_plugins.adapters.host import (
 from odt_plugins.adapters.lengths import check_arrays_of_vtk
 from odt_plugins.adapters.normals import NORMALS, are_normals, renewed
 from odt_plugins.adapters.regions import region_labels
-from odt_plugins.adapters.vtk_files import as_before
+from odt_plugins.adapters.vtk_files import as_before, put_array
 from odt_plugins.adapters.wedges import slid
 from odt_plugins.errors import UnsupportedMeshError, counted
 
@@ -332,7 +332,7 @@ def _carry_point_data(
     """Give the points the data of those they came from, or some of these arrays if named."""
     old, new = source.point_data, out.point_data
     for name in old.keys() if names is None else names:
-        new.set_array(carry(name, np.asarray(old[name])), name)
+        put_array(new, carry(name, np.asarray(old[name])), name)
 
 
 def _write_grid(
@@ -523,7 +523,7 @@ def _carry_cell_data(
         if name in result.of_cells:
             own = result.of_cells[name]
             values[np.isin(rows, ids)] = own.reshape(len(own), *values.shape[1:])
-        new.set_array(values, name)
+        put_array(new, values, name)
 
 
 def _positions(start: IndexArray, size: IndexArray) -> IndexArray:

@@ -249,6 +249,16 @@ def as_before(out: Any, source: Any, *, narrow: bool) -> None:
                 data.SetActiveAttribute(active.GetName(), role)
 
 
+def put_array(data: Any, values: NDArray[Any], name: str) -> None:
+    """Add an array to data of pyvista; texts by VTK, since pyvista takes those of ASCII only."""
+    if values.dtype.kind != "U":
+        data.set_array(values, name)
+        return
+    texts = _vtk(values)
+    texts.SetName(name)
+    data.VTKObject.AddArray(texts)
+
+
 def _same_type(now: Any, was: Any, *, narrow: bool) -> bool:
     """Whether an array may become one of the class of another: of ids, or of bits."""
     if was.IsA("vtkBitArray"):

@@ -125,47 +125,38 @@ class Arrays:
     """Arrays of the points or cells of a dataset, as numpy's; new ones are like those of before."""
 
     def __init__(self, data: Any, like: Any) -> None:
-        object.__setattr__(self, "data", data)
-        object.__setattr__(self, "like", like)
+        self.VTKObject, self.like = data, like
 
     def keys(self) -> list[str]:
         """Names of the arrays; those without one cannot be kept."""
-        names = (self.data.GetAbstractArray(i).GetName()
-                 for i in range(self.data.GetNumberOfArrays()))
+        names = (self.VTKObject.GetAbstractArray(i).GetName()
+                 for i in range(self.VTKObject.GetNumberOfArrays()))
         return [name for name in names if name]
 
     def __getitem__(self, name: str) -> NDArray[Any]:
-        return as_numpy(self.data.GetAbstractArray(name))
+        return as_numpy(self.VTKObject.GetAbstractArray(name))
 
     def __setitem__(self, name: str, values: NDArray[Any]) -> None:
         self.set_array(values, name)
 
     def __getattr__(self, name: str) -> Any:
-        array = getattr(self.data, f"Get{ACTIVE[name]}")()
+        array = getattr(self.VTKObject, f"Get{ACTIVE[name]}")()
         return None if array is None else array.GetName()
-
-    def __setattr__(self, name: str, value: str) -> None:
-        getattr(self.data, f"SetActive{ACTIVE[name]}")(value)
 
     def clear(self) -> None:
         """Remove all arrays."""
-        self.data.Initialize()
+        self.VTKObject.Initialize()
 
     def set_array(self, values: NDArray[Any], name: str) -> None:
-        """Add an array of the type that this one had, or replace it."""
+        """Add an array of numbers of the type that this one had, or replace it."""
         from vtkmodules.util.numpy_support import numpy_to_vtk
 
         old = self.like.GetAbstractArray(name)
         new = old.NewInstance()
-        if new.IsA("vtkStringArray"):
-            new.SetNumberOfComponents(old.GetNumberOfComponents())
-            for text in values.ravel().tolist():
-                new.InsertNextValue(text)
-        else:
-            flat = np.ascontiguousarray(values).reshape(len(values), old.GetNumberOfComponents())
-            new.DeepCopy(numpy_to_vtk(flat, deep=True))
+        flat = np.ascontiguousarray(values).reshape(len(values), old.GetNumberOfComponents())
+        new.DeepCopy(numpy_to_vtk(flat, deep=True))
         new.SetName(name)
-        self.data.AddArray(new)
+        self.VTKObject.AddArray(new)
 
 
 def _cell_array(values: NDArray[Any]) -> Any:

@@ -121,6 +121,24 @@ def pairs_of(array):
 
 
 @pytest.mark.parametrize("resize", [False, True])
+def test_texts_of_any_letters_come_back_in_pyvista(resize):
+    pyvista = pytest.importorskip("pyvista")
+    points, cells, _ = contract.grid(3, 4)
+    mesh = pyvista.UnstructuredGrid(with_two_texts(points, cells))
+    for data in (mesh.GetPointData(), mesh.GetCellData()):
+        array = data.GetAbstractArray("two")
+        for i in range(array.GetNumberOfValues()):
+            array.SetValue(i, array.GetValue(i).replace("a", "Öl ").replace("b", "水"))
+    out, report = odt_plugins.remesh_with_report(mesh, scale=0.8) if resize else (
+        odt_plugins.optimize_with_report(mesh))
+    assert pairs_of(out.GetCellData().GetAbstractArray("two")) == [
+        (f"Öl {i}", f"水{i}") for i in report.cell_origin.tolist()]
+    named = pairs_of(out.GetPointData().GetAbstractArray("two"))
+    assert len(named) == out.n_points
+    assert named[0] == ("Öl 0", "水0")
+
+
+@pytest.mark.parametrize("resize", [False, True])
 def test_several_texts_for_each_come_back(resize):
     points, cells, _ = contract.grid(3, 4)
     mesh = with_two_texts(points, cells)
