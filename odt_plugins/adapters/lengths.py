@@ -58,18 +58,22 @@ def expect_members(what: str, members: NDArray[Any], size: int) -> None:
 
 
 def check_arrays_of_vtk(mesh: Any) -> None:
-    """See whether all arrays of a dataset of VTK can be read and have a value for each.
+    """See whether all arrays with a name can be read and have a value for each point or cell.
 
     VTK leaves out what an array has beyond.
+
+    Parameters
+    ----------
+    mesh : pyvista mesh, or Dataset of VTK
 
     Raises
     ------
     InvalidMeshError        one is too short
     UnsupportedMeshError    one holds neither numbers nor texts
     """
-    for word, data, count in (("point", mesh.GetPointData(), mesh.GetNumberOfPoints()),
-                              ("cell", mesh.GetCellData(), mesh.GetNumberOfCells())):
-        for array in map(data.GetAbstractArray, range(data.GetNumberOfArrays())):
+    for word, data, count in (("point", mesh.point_data, mesh.n_points),
+                              ("cell", mesh.cell_data, mesh.n_cells)):
+        for array in map(data.VTKObject.GetAbstractArray, data.keys()):
             name = f"{word} data {array.GetName()!r}"
             if not (array.IsA("vtkDataArray") or array.IsA("vtkStringArray")):
                 msg = (f"got {name} in a {array.GetClassName()}; expected numbers or texts, try "

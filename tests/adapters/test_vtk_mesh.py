@@ -218,3 +218,14 @@ def test_arrays_that_are_too_short_or_of_variants_are_refused(where, wrapped):
         for verb in (odt_plugins.optimize, odt_plugins.quality):
             with pytest.raises(error, match=f"{where.lower()} data {told}"):
                 verb(pyvista.UnstructuredGrid(mesh) if wrapped else mesh)
+
+
+def test_arrays_without_a_name_are_lost_whatever_they_hold():
+    from vtkmodules.vtkCommonCore import vtkVariantArray
+
+    points, cells, _ = contract.grid(3, 3)
+    mesh, array = with_two_texts(points, cells), vtkVariantArray()
+    array.SetNumberOfTuples(7)
+    mesh.GetCellData().AddArray(array)
+    out = odt_plugins.optimize(mesh)
+    assert out.GetCellData().GetNumberOfArrays() == 1
