@@ -295,7 +295,7 @@ def _untangling(options: Mapping[str, Any]) -> Options:
 def _untangled(mesh: Any, options: Options, rest: Any, *, partial: bool) -> tuple[Any, ...]:
     """What :func:`run_engine` gives, with the mesh untangled and left so."""
     places = rest
-    if isinstance(rest, list) and np.ndim(rest[:1]) == 2:
+    if isinstance(rest, list) and even_rows("rest", rest[:1]).ndim == 2:
         places = even_rows("rest", rest)
     elif rest is not None and not isinstance(rest, np.ndarray):
         places = np.asarray(find_adapter(rest).read(rest).points)

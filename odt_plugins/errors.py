@@ -178,8 +178,8 @@ def plain_values(name: str, values: Any, error: type[ODTError] = InvalidOptionEr
         msg = (f"{name} has {what} (first: at index {first}); expected none, try "
                f"{name}.filled(...), or leave out what is masked")
         raise error(msg)
-    if isinstance(values, numbers.Number) and hasattr(values, "item"):
-        return values.item()
+    if isinstance(values, numbers.Real) and hasattr(values, "item"):
+        return int(values) if isinstance(values, numbers.Integral) else float(values)
     if not callable(getattr(values, "numpy", None)):
         return values
     return (values.cpu() if hasattr(values, "cpu") else values).numpy().copy()

@@ -105,6 +105,8 @@ def metric_from_field(
     >>> bool(np.allclose(stretch, 3.0, rtol=1e-3))
     True
     """
+    cells, norm, growth, ratio = (plain_values(name, value) for name, value in (
+        ("cells", cells), ("norm", norm), ("growth", growth), ("ratio", ratio)))
     expect(isinstance(cells, Integral) and not isinstance(cells, bool) and cells >= 1, "cells",
             cells, "an integer of at least 1")
     expect(is_number(norm) and norm >= 1.0, "norm", norm, "a number of at least 1, or inf")

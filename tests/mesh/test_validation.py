@@ -592,14 +592,25 @@ def test_degenerate_triangles_in_space_are_refused():
 
 
 @pytest.mark.parametrize("options", [
-    {"cells": np.int8(100)}, {"cells": np.uint8(200)}, {"vertices": np.int8(100)}])
+    {"cells": np.int8(100)}, {"cells": np.uint8(200)}, {"vertices": np.int8(100)},
+    {"scale": np.longdouble(0.75)}])
 def test_small_numbers_of_numpy_ask_for_what_plain_ones_do(options):
-    plain = {name: int(value) for name, value in options.items()}
+    plain = {name: float(value) if name == "scale" else int(value)
+             for name, value in options.items()}
     mesh = contract.grid(3, 6)[:2]
     points, cells = odt_plugins.remesh(mesh, **options)
     alike = odt_plugins.remesh(mesh, **plain)
     assert (len(points), len(cells)) == (len(alike[0]), len(alike[1]))
     assert np.array_equal(points, alike[0])
+
+
+@pytest.mark.parametrize("options", [
+    {"ratio": np.int16(1000)}, {"ratio": np.float16(1000)}, {"norm": np.float16(2)}])
+def test_small_numbers_of_numpy_make_the_metric_that_plain_ones_do(options):
+    points, cells, _ = contract.grid(3, 4)
+    found, alike = (odt_plugins.metric_from_field((points, cells), points[:, 0]**2, 200, **one)
+                    for one in (options, {name: int(value) for name, value in options.items()}))
+    assert np.array_equal(found, alike)
 
 
 def test_small_numbers_of_numpy_count_threads_blocks_and_levels():
@@ -613,6 +624,7 @@ def test_small_numbers_of_numpy_count_threads_blocks_and_levels():
     (odt_plugins.remesh, {"size": [[1], [2, 3]]}, r"got size with rows of several lengths"),
     (odt_plugins.remesh, {"scale": np.ones((99, 3))}, r"got scale= of type ndarray; expected a n"),
     (odt_plugins.untangle, {"rest": [[1], [2, 3]]}, r"got rest with rows of several lengths"),
+    (odt_plugins.untangle, {"rest": [[[1], 2, 3]]}, r"got rest with rows of several lengths"),
     (odt_plugins.refine, {"levels": np.ones((99, 3))}, r"got levels= of type ndarray; expected"),
     (odt_plugins.refine, {"edge_length": np.ones((99, 3))}, r"got edge_length= of type ndarray"),
 ])
