@@ -75,10 +75,11 @@ def vertex_mask(value: ArrayLike | None, count: int, name: str, what: str) -> Bo
         msg = (f"{name}[{bad[0]}] is {raw[bad[0]]} ({bad.size} out of range); expected indices of "
                f"{what} from 0 to {count - 1}")
         raise InvalidOptionError(msg)
-    if raw.size > 2 and raw.max() <= 1:
-        msg = (f"got {name} with {raw.size} numbers that all are 0 or 1, as of a mask; expected a "
-               f"boolean mask of the {what} ({count},) or a list of their indices, each once, try "
-               f"{name}.astype(bool)")
+    most = max(1, raw.max())
+    if raw.size > 2 and (most == 1 or raw.size == count) and np.isin(raw, (0, most)).all():
+        msg = (f"got {name} with {raw.size} numbers that all are 0 or {most}, as of a mask; "
+               f"expected a boolean mask of the {what} ({count},) or a list of their indices, each "
+               f"once, try {name}.astype(bool)")
         raise InvalidOptionError(msg)
     mask[raw] = True
     return mask

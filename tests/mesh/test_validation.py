@@ -208,6 +208,8 @@ BAD_OPTIONS = {
     "blocks array": ({"blocks": np.ones(99)}, r"got blocks= of type ndarray; expected an integer"),
     "fixed zeros and ones": ({"fixed": np.arange(8, dtype=np.uint8) % 2},
                              r"fixed with 8 numbers that all are 0 or 1.*fixed.astype\(bool\)"),
+    "fixed zeros and others": ({"fixed": [0, 7, 7, 0, 0, 7, 0, 0]},
+                               r"fixed with 8 numbers that all are 0 or 7, .*fixed.astype\(bool"),
     "selection zeros and ones": ({"selection": [0, 1, 1, 0, 1, 0]}, r"selection with 6 numbers"),
     "selection length": ({"selection": np.ones(8, bool)}, r"selection is a mask .*\(6,\)"),
     "selection index": ({"selection": [6]}, r"selection\[0\] is 6.*cells from 0 to 5"),
