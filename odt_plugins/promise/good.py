@@ -81,8 +81,8 @@ def fallen_since(
     """
     if not keep:
         return []
-    was, seen = (as_seen(mesh_points, rows, m) for mesh_points, rows, m in (
-        (before.points, before.cells, before.metric), (points, cells, metric)))
+    was = as_seen(before.points, before.cells, before.metric)
+    seen = as_seen(points, cells, metric)
     old = summarize(*was)
     if full:
         old = replace(old, mean_quality=mean_but_poor(*was))

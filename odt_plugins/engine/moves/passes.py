@@ -102,9 +102,8 @@ def more_cells(mesh: Complex, count: int, bounds: Bounds) -> int:
     -------
     int    how many came
     """
-    total = 0
+    total, cost = 0, Cost(QUALITY, 1.0)
     for quality in FILLING:
-        cost = Cost(QUALITY, 1.0)
         limit = 3.0 * float(quality_cost.py_func(quality, cost.power))
         for _ in range(PASSES):
             order = mesh.live().astype(np.int32)

@@ -52,7 +52,7 @@ class Beside(NamedTuple):
     """Cells of the input that stay, and the others, by their ``figures.cell_shapes``."""
 
     held: FloatArray
-    first: FloatArray
+    others: FloatArray
 
     def added_to(self, found: Figures, shapes: FloatArray) -> Figures:
         """Figures with quantile, mean and share of the cells that stay and some others."""
@@ -101,7 +101,7 @@ class Memory:
         self.aside = aside
         self.pool = pool
         self.beside = beside
-        self.whole = before if beside is None else beside.added_to(before, beside.first)
+        self.whole = before if beside is None else beside.added_to(before, beside.others)
         self.states: list[State] = []
         self.worse: list[str] = []
         self.refused: State | None = None

@@ -33,8 +33,9 @@ MOST_UNLIKE = 0.5
 def seen_figures(mesh: SimplexMesh | Outcome, full: int = 0) -> Figures:
     """Figures of a mesh, as it is seen; where cells are filled up, as ``fallen_since`` has them."""
     seen = as_seen(mesh.points, mesh.cells, mesh.metric)
-    found = figures(*filled_up(*seen, full))
-    return replace(found, mean_quality=mean_but_poor(*seen)) if full else found
+    if not full:
+        return figures(*seen)
+    return replace(figures(*filled_up(*seen, full)), mean_quality=mean_but_poor(*seen))
 
 
 def allowed_figures(mesh: SimplexMesh, options: Options, full: int = 0) -> Figures:

@@ -98,10 +98,10 @@ def follow_plan(work: Work, mesh: Complex) -> str:
     if options.finish:
         with log.timed("finishing"):
             worst_cells(mesh, early)
+            if mesh.dim == 3 and not memory.states and not work.slides:
+                fill_up(work)
     (early.options.progress or silent)("finishing", 1.0)
 
-    if options.finish and mesh.dim == 3 and not memory.states and not work.slides:
-        fill_up(work)
     refused = not memory.states and not (work.slides and memory.spoiled().size)
     if options.finish and (refused or _may_finish_alone(work)):
         with log.timed(ALONE):
