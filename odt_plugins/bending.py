@@ -110,7 +110,7 @@ def with_bent(
     around = np.stack([facets, np.roll(facets, -1, axis=1)], axis=2)
     bent = Bent(_in_space(mesh.points), facets, offsets(around), sharp, offsets(sharp),
                 mesh.is_surface, options.feature_angle)
-    envelope = min(options.envelope + bent.sag / diagonal(mesh.points[np.unique(mesh.cells)]),
+    envelope = min(options.envelope + bent.sag / mesh.extent,
                    LARGEST)
     mesh = replace(mesh, smooth=Smooth(bent.sag, partial(_put, bent, mesh.points)))
     return work._replace(mesh=mesh), replace(options, envelope=envelope), bent

@@ -68,8 +68,7 @@ def near_geometry(work: Prepared, options: Options) -> tuple[Prepared, Options]:
         points[moved] = new if work.frame is None else work.frame.to_plane(new)
         return points
 
-    used = work.mesh.points[np.unique(work.mesh.cells)]
-    envelope = min(options.envelope + sag / diagonal(used), LARGEST)
+    envelope = min(options.envelope + sag / work.mesh.extent, LARGEST)
     mesh = replace(work.mesh, smooth=Smooth(sag, put))
     return work._replace(mesh=mesh), replace(options, envelope=envelope)
 

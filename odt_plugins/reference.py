@@ -18,7 +18,7 @@ from odt_plugins.errors import InvalidOptionError
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.faces import no_faces
 from odt_plugins.mesh.plane import plane_frame
-from odt_plugins.mesh.simplex import compact_labels, diagonal, mesh_arrays
+from odt_plugins.mesh.simplex import compact_labels, diagonal, mesh_arrays, vertices_of
 from odt_plugins.mesh.soup import same_places
 from odt_plugins.options import Options
 
@@ -87,7 +87,7 @@ def _surfaces(
     labels = np.zeros(len(cells), dtype=np.int32)
     if host.regions is not None and are_names(options.regions):
         labels = compact_labels(host.regions, len(cells))
-    size = diagonal(points[np.unique(cells)])
+    size = diagonal(points[vertices_of(cells)])
     space = np.pad(points, [(0, 0), (0, 3 - points.shape[1])])
     if cells.shape[1] == 4:
         return "tetrahedra", size, [(space, surface_of(cells, labels, no_faces()[1])[0])]

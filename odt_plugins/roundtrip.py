@@ -56,7 +56,14 @@ from odt_plugins.mesh.layers import keep_layers
 from odt_plugins.mesh.numbering import in_old_numbers, most_vertices, new_numbers, old_numbers
 from odt_plugins.mesh.numbers import even_rows
 from odt_plugins.mesh.plane import PlaneFrame, plane_frame
-from odt_plugins.mesh.simplex import SimplexMesh, compact_labels, mesh_arrays, reverse, simplex_mesh
+from odt_plugins.mesh.simplex import (
+    SimplexMesh,
+    compact_labels,
+    mesh_arrays,
+    reverse,
+    simplex_mesh,
+    vertices_of,
+)
 from odt_plugins.mesh.soup import at_copies, same_places
 from odt_plugins.mesh.surface import surface_mesh
 from odt_plugins.mesh.tangled import tangled_mesh
@@ -382,7 +389,7 @@ def _of_soup(
         else:
             fixed = np.zeros(len(same), dtype=np.bool_)
             fixed[same[merged.mesh.fixed]] = True
-            used, places = len(np.unique(host.cells)), len(np.unique(merged.mesh.cells))
+            used, places = len(vertices_of(host.cells)), len(merged.mesh.used)
             there = "gone" if gone else "apart again, at the same place"
             note = host.words(
                 f"{used - places} of {used} vertices were at the place of another one and merged "
@@ -425,7 +432,7 @@ def _of_mesh(options: Options, tangle: Tangle | None) -> Options:
         return options
     m, n = len(tangle.before.cells), len(tangle.before.points)
     if options.insert and tangle.added:
-        used = len(np.unique(tangle.before.cells))
+        used = len(tangle.before.used)
         left = most_vertices(used, options.insert) / (used + tangle.added) - 1.0
         options = replace(options, insert=left if left > 0.0 else False)
     if isinstance(options.density, str) and options.density == "keep":

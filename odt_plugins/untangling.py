@@ -114,7 +114,7 @@ def untangle_mesh(
         raise _left(mesh, mesh.points, np.flatnonzero(bad & mesh.frozen),
                     "which must stay as they are", "try a larger selection")
     n = len(mesh.points)
-    used = len(np.unique(mesh.cells))
+    used = len(mesh.used)
     room = most_vertices(used, options.insert) - used if options.insert else 0
     tell = options.progress if callable(options.progress) else silent
     flips = options.smoothing.connectivity != "none"

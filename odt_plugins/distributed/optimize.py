@@ -194,8 +194,8 @@ def _room(mesh: SimplexMesh, now: SimplexMesh, options: Options) -> int:
     """How many vertices may be added to the mesh as it is now."""
     if not options.insert:
         return 0
-    most = most_vertices(len(np.unique(mesh.cells)), options.insert)
-    return most - len(np.unique(now.cells))
+    most = most_vertices(len(mesh.used), options.insert)
+    return most - len(now.used)
 
 
 def _worst(whole: Whole) -> BoolArray | None:

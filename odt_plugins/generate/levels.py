@@ -32,7 +32,7 @@ from odt_plugins.keywords import OptionKeywords, with_option_signature
 from odt_plugins.mesh.arrays import BoolArray
 from odt_plugins.mesh.facets import row_keys
 from odt_plugins.mesh.numbers import vertex_mask
-from odt_plugins.mesh.simplex import SimplexMesh, compact_labels, diagonal, mesh_arrays
+from odt_plugins.mesh.simplex import SimplexMesh, compact_labels, diagonal, mesh_arrays, vertices_of
 from odt_plugins.options import EDGE_LENGTH, Options, Progress, make_options
 from odt_plugins.progress import part, telling
 
@@ -171,7 +171,7 @@ def _refined(
     left = part(chosen.progress, BY_TETWILD if start.meshed else 0.0, 1.0)
     slides = options.get("boundary", "slide" if start.meshed or surface is not None else "fixed")
     reference = start.target.reference
-    envelope = chosen.envelope * diagonal(reference.points[np.unique(reference.triangles)])
+    envelope = chosen.envelope * diagonal(reference.points[vertices_of(reference.triangles)])
     plain: Any = {name: value for name, value in options.items() if name not in CARRIED}
     plain |= {"envelope": chosen.envelope, "feature_angle": chosen.feature_angle}
 

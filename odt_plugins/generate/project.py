@@ -17,6 +17,7 @@ from odt_plugins.engine.record.figures import cell_shapes
 from odt_plugins.engine.topology.star import vertex_stars
 from odt_plugins.errors import InvalidMeshError, counted
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
+from odt_plugins.mesh.simplex import vertices_of
 from odt_plugins.mesh.surface import surface_edges
 
 BARE = 0.8
@@ -166,7 +167,7 @@ def _peaks(
     mesh are on the surface; its nearest vertex of the mesh goes there.
     """
     goal = points[free]
-    corners = np.unique(target.reference.triangles)
+    corners = vertices_of(target.reference.triangles)
     peaks = target.reference.points[corners]
     distance, facet, _ = make_reference(points, facets).closest(peaks)
     bare = np.flatnonzero(distance > BARE * envelope)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from odt_plugins.mesh.arrays import BoolArray, FloatArray
 from odt_plugins.mesh.facets import row_keys
-from odt_plugins.mesh.simplex import diagonal
+from odt_plugins.mesh.simplex import diagonal, vertices_of
 
 CLOSE = 1e-6
 """Distance, as a part of the diagonal, up to which places are in a plane or the same."""
@@ -38,7 +38,7 @@ def periodic_triangles(
     (s, 3) int64, (c, 3) int64         those on faces that match, and those that do so by chance
     """
     found, chance = np.zeros((2, len(triangles)), dtype=np.bool_)
-    used = np.unique(triangles)
+    used = vertices_of(triangles)
     if not used.size:
         return triangles[found], triangles[chance]
     x = points[used]

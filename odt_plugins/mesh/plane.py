@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from odt_plugins.errors import InvalidMeshError, counted
 from odt_plugins.mesh.arrays import FloatArray
+from odt_plugins.mesh.simplex import vertices_of
 
 FLATNESS = 1e-6
 """Largest distance from the plane, relative to the bounding-box diagonal of the used vertices."""
@@ -71,7 +72,7 @@ def plane_frame(points: FloatArray, cells: NDArray[np.integer]) -> PlaneFrame | 
     The normal is the sum of the area vectors of the triangles, each turned to the side of
     the largest one, so it does not depend on their orientation.
     """
-    used = np.unique(cells)
+    used = vertices_of(cells)
     p = points[used]
     low, high = p.min(axis=0), p.max(axis=0)
     flat = np.flatnonzero(high == low)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from odt_plugins.errors import InvalidMeshError, InvalidOptionError, TangledMeshError, counted
-from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
+from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray, LongArray
 from odt_plugins.mesh.chunks import chunks, spread
 from odt_plugins.mesh.faces import Faces, no_faces
 from odt_plugins.mesh.facets import UnevenFacets, directed_facets, row_keys, uneven_facets
@@ -126,6 +126,16 @@ class SimplexMesh:
     def uneven(self) -> UnevenFacets:
         """Facets that do not have just one cell on each side."""
         return uneven_facets(self.cells, len(self.points))
+
+    @cached_property
+    def used(self) -> LongArray:
+        """Vertices (k,) that have a cell, increasing."""
+        return vertices_of(self.cells)
+
+    @cached_property
+    def extent(self) -> float:
+        """Length of the diagonal of the box around the vertices that have a cell."""
+        return diagonal(self.points[self.used])
 
 
 def simplex_mesh(
@@ -291,6 +301,13 @@ def barycentric(corners: FloatArray, x: FloatArray) -> FloatArray:
         found = np.concatenate([1.0 - inner.sum(axis=-1, keepdims=True), inner], axis=-1)
     found[volume == 0.0] = -np.inf
     return found
+
+
+def vertices_of(cells: NDArray[np.integer]) -> LongArray:
+    """Vertices (k,) that cells, or facets, (m, j) have, increasing."""
+    used = np.zeros(int(cells.max(initial=-1)) + 1, dtype=np.bool_)
+    used[cells] = True
+    return np.flatnonzero(used)
 
 
 def diagonal(points: FloatArray) -> float:

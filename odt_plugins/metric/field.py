@@ -19,7 +19,7 @@ from odt_plugins.engine.cells.tensors import determinants, eigenvalues, intersec
 from odt_plugins.errors import InvalidOptionError, expect, is_number, plain_values
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.numbers import real_numbers
-from odt_plugins.mesh.simplex import corner_mean, diagonal
+from odt_plugins.mesh.simplex import corner_mean, diagonal, vertices_of
 from odt_plugins.metric.given import MOST_RATIO
 from odt_plugins.metric.hessian import Tangents, recovered_hessians, tangents
 from odt_plugins.metric.implied import star_means
@@ -237,7 +237,7 @@ def scaled_to(
     """
     d = cells.shape[1] - 1
     growth, ratio = limits
-    size = diagonal(points[np.unique(cells)])
+    size = diagonal(points[vertices_of(cells)])
     least, most = LENGTHS[0] * size, LENGTHS[1] * size
 
     def limited(scale: float) -> tuple[FloatArray, float]:
@@ -274,13 +274,13 @@ def cells_of_metric(
 
 def _of_unit_range(field: FloatArray, cells: IntArray) -> FloatArray:
     """A field times the power of two that brings its range near 1: units do not change metrics."""
-    spread = float(np.ptp(field[np.unique(cells)], axis=0).max())
+    spread = float(np.ptp(field[vertices_of(cells)], axis=0).max())
     return np.ldexp(field, -math.frexp(spread)[1]) if spread < math.inf else field
 
 
 def _least(points: FloatArray, cells: IntArray, field: FloatArray) -> float:
     """The second derivative that counts as none."""
-    used = np.unique(cells)
+    used = vertices_of(cells)
     spread = float(np.ptp(field[used], axis=0).max()) or 1.0
     return NOTHING * spread / diagonal(points[used]) ** 2
 

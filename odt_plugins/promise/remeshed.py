@@ -77,7 +77,7 @@ def broken_by_remeshing(
     rim of a piece the same number of loops: so genus, rims and the adjacency of regions are the
     same.
     """
-    share = max(0.0, len(points) / len(np.unique(before.cells)) - 1.0) + 1.0
+    share = max(0.0, len(points) / len(before.used) - 1.0) + 1.0
     if not slides:
         broken = broken_promises(before, points, cells, regions, (), origin=origin, insert=share,
                                  threads=threads)

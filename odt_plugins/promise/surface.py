@@ -16,7 +16,7 @@ from odt_plugins.figures import QualitySummary, summarize
 from odt_plugins.mesh.components import components
 from odt_plugins.mesh.facets import row_keys
 from odt_plugins.mesh.seen import NO_METRIC, as_seen
-from odt_plugins.mesh.simplex import SimplexMesh
+from odt_plugins.mesh.simplex import SimplexMesh, vertices_of
 from odt_plugins.mesh.surface import Edges, opposed, surface_edges
 from odt_plugins.options import KEPT
 from odt_plugins.promise.volume import worse_figures
@@ -76,7 +76,7 @@ def broken_surface_promises(
     used = np.zeros(n, dtype=np.bool_)
     used[before.cells] = True
     broken += _moved(before.points, points, fixed | ~used)
-    if not np.array_equal(np.unique(cells), np.flatnonzero(used)):
+    if not np.array_equal(vertices_of(cells), np.flatnonzero(used)):
         lost = np.setxor1d(cells, np.flatnonzero(used))
         broken.append(f"vertex {lost[0]} came into use or out of it, {len(lost)} in all")
     old, new = surface_edges(before.cells, n), surface_edges(cells, n)

@@ -90,7 +90,7 @@ def broken_promises(
         removed = removed_vertices(origin, len(before.points))
         points = in_old_numbers(before.points, points, origin)
         cells = old_numbers(origin, len(before.points))[cells]
-        most = most_vertices(len(np.unique(before.cells)), insert)
+        most = most_vertices(len(before.used), insert)
         broken += came_and_went(before, cells, removed, held, most)
     now_locked, overlaps = facet_census(
         cells, regions, len(points), uneven_facets(cells, len(points), threads)

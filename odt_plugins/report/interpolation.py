@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from odt_plugins.errors import InvalidOptionError
 from odt_plugins.figures import volumes
 from odt_plugins.mesh.arrays import FloatArray, IntArray
+from odt_plugins.mesh.simplex import vertices_of
 from odt_plugins.table import text_html
 
 PER_AXIS = 6
@@ -98,7 +99,7 @@ def interpolation_errors(points: FloatArray, cells: IntArray, f: Function) -> Er
     """
     weights, places = conical_rule(cells.shape[1] - 1)
     content = np.abs(volumes(points, cells))
-    used = np.unique(cells)
+    used = vertices_of(cells)
     known = np.zeros(len(points))
     known[used] = _evaluated(f, points[used])
     first, second, largest = 0.0, 0.0, 0.0

@@ -219,7 +219,7 @@ def test_an_input_without_end_costs_those_that_share_its_process_nothing(place):
     paths = [str(write_ball(place / "models" / f"{n}.vtu", n)) for n in (60, 90)]
     (place / "models" / "70.slow").write_text("1000")
     jobs = make_jobs([*paths, "models/70.slow"], place / "out", {"finish": False}, suffix=".vtu",
-                     timeout=3.0)
+                     timeout=8.0)
     rows = run_batch(jobs)
     assert [row["status"] for row in rows] == ["ok", "timeout", "ok"], rows[1]["message"]
 

@@ -20,7 +20,7 @@ from odt_plugins.engine.record.figures import cell_shapes
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.mesh.components import components
 from odt_plugins.mesh.facets import directed_facets
-from odt_plugins.mesh.simplex import determinant
+from odt_plugins.mesh.simplex import determinant, vertices_of
 
 IndexArray = NDArray[np.int64]
 
@@ -109,7 +109,7 @@ def delaunay_exchange(
     """
     from scipy.spatial import Delaunay, QhullError
 
-    used = np.unique(cells)
+    used = vertices_of(cells)
     to_used = np.full(len(points), -1, dtype=np.int64)
     to_used[used] = np.arange(len(used))
     low, high = points[used].min(axis=0), points[used].max(axis=0)

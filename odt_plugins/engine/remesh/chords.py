@@ -24,7 +24,7 @@ from odt_plugins.engine.surface.curvature import (
 from odt_plugins.engine.topology.star import star_sum, vertex_stars
 from odt_plugins.errors import counted
 from odt_plugins.mesh.arrays import FloatArray, IntArray
-from odt_plugins.mesh.simplex import SimplexMesh, diagonal
+from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.mesh.surface import disagreeing_edges, surface_edges
 from odt_plugins.options import Options
 
@@ -62,7 +62,7 @@ def sizes_as_wished(mesh: SimplexMesh, options: Options, wish: Wish) -> tuple[Si
     if mesh.is_surface and not len(mesh.metric):
         most = given if wish.curved else longest_sizes(mesh, length, angle)
         if wish.curved:
-            longest = LONGEST * diagonal(mesh.points[np.unique(mesh.cells)])
+            longest = LONGEST * mesh.extent
             sizes = replace(sizes, asked=np.maximum(most, longest))
         else:
             sizes = within_chords(mesh, sizes, most)
@@ -81,7 +81,7 @@ def curvature_sizes(mesh: SimplexMesh, envelope: float, angle: float) -> FloatAr
     None is smaller than those of the input, or than twice the envelope. Where needles meet in a tip
     the surface is ever more curved towards it.
     """
-    longest = LONGEST * diagonal(mesh.points[np.unique(mesh.cells)])
+    longest = LONGEST * mesh.extent
     own, width = _own_sizes(mesh)
     found = np.minimum(width * chords(mesh, envelope, angle), longest)
     return np.maximum(found, np.maximum(own, 2.0 * envelope))
@@ -134,7 +134,7 @@ def longest_sizes(mesh: SimplexMesh, envelope: float, angle: float) -> FloatArra
 
 def within_chords(mesh: SimplexMesh, sizes: Sizes, most: FloatArray) -> Sizes:
     """Sizes of a surface no longer than ``most`` (n,), see :func:`longest_sizes`; says where."""
-    used = np.unique(mesh.cells)
+    used = mesh.used
     finer = used[sizes.values[used] > FINER * most[used]]
     if not len(finer):
         return sizes

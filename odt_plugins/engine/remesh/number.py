@@ -11,6 +11,7 @@ import numpy as np
 from odt_plugins.engine.cells.elementary import log
 from odt_plugins.engine.remesh.wish import Wish
 from odt_plugins.engine.run.outcome import Outcome
+from odt_plugins.mesh.simplex import vertices_of
 
 NEAR, CORRECTIONS, FURTHEST = 0.03, 4, 3.0
 """Sizes are corrected while the number of cells or vertices is off by more than this part, at most
@@ -60,7 +61,7 @@ class Goal(NamedTuple):
 
     def count(self, outcome: Outcome) -> int:
         """How many an outcome has."""
-        return len(outcome.cells if self.what == "cells" else np.unique(outcome.cells))
+        return len(outcome.cells if self.what == "cells" else vertices_of(outcome.cells))
 
     def off(self, outcome: Outcome) -> float:
         """Part by which that is another number."""

@@ -13,9 +13,9 @@ from odt_plugins.engine.record.relaxed import relaxed, spoiling
 from odt_plugins.engine.remesh.distance import astray
 from odt_plugins.engine.remesh.sizes import Sizes, lengths_of
 from odt_plugins.engine.run.outcome import Outcome
-from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
+from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray, LongArray
 from odt_plugins.mesh.seen import as_seen
-from odt_plugins.mesh.simplex import SimplexMesh
+from odt_plugins.mesh.simplex import SimplexMesh, vertices_of
 from odt_plugins.options import Options
 from odt_plugins.promise.good import filled_up, mean_but_poor
 from odt_plugins.promise.region_sizes import other_sizes
@@ -87,19 +87,19 @@ def _crossed(outcome: SimplexMesh | Outcome) -> IntArray:
 
 def _corners(mesh: SimplexMesh | Outcome, rows: IntArray) -> FloatArray:
     """Places (k, 3) of the vertices of some simplices."""
-    return mesh.points[np.unique(rows)]
+    return mesh.points[vertices_of(rows)]
 
 
 def _near(mesh: SimplexMesh, places: FloatArray, sizes: Sizes) -> BoolArray:
     """Vertices (n,) of the input near places (k, 3)."""
     near = np.zeros(len(mesh.points), dtype=np.bool_)
     if len(places):
-        used = np.unique(mesh.cells)
+        used = mesh.used
         near[used] = _distances(mesh, used, places) <= REACH * sizes.values[used]
     return near
 
 
-def _distances(mesh: SimplexMesh, used: IntArray, places: FloatArray) -> FloatArray:
+def _distances(mesh: SimplexMesh, used: LongArray, places: FloatArray) -> FloatArray:
     """Distances of vertices to the nearest of places (k, 3), in the metric of each vertex."""
     from scipy.spatial import cKDTree
 

@@ -46,7 +46,7 @@ from odt_plugins.errors import InvalidMeshError, counted
 from odt_plugins.mesh.arrays import FloatArray
 from odt_plugins.mesh.faces import Faces, joined, renumbered, without
 from odt_plugins.mesh.numbering import new_numbers
-from odt_plugins.mesh.simplex import SimplexMesh, diagonal
+from odt_plugins.mesh.simplex import SimplexMesh, diagonal, vertices_of
 from odt_plugins.options import Options
 from odt_plugins.progress import part, silent
 from odt_plugins.promise.good import good_enough
@@ -360,7 +360,7 @@ def _once(
     times = {"resizing": time.perf_counter() - clock}
     inner = replace(
         options, boundary="slide" if share > 0.0 else "fixed",
-        envelope=min(0.5, left / diagonal(resized.points[np.unique(resized.cells)])),
+        envelope=min(0.5, left / diagonal(resized.points[vertices_of(resized.cells)])),
         progress=part(report, 0.4, 0.8 if onto else 1.0),
     )
     if onto is None:

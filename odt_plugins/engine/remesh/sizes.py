@@ -19,7 +19,7 @@ from odt_plugins.errors import InvalidOptionError
 from odt_plugins.mesh.arrays import FloatArray, IntArray, LongArray
 from odt_plugins.mesh.numbers import real_numbers
 from odt_plugins.mesh.seen import as_seen
-from odt_plugins.mesh.simplex import SimplexMesh, corner_mean, diagonal
+from odt_plugins.mesh.simplex import SimplexMesh, corner_mean
 
 LEAST = 1e-6
 """Smallest size, as a part of the diagonal."""
@@ -99,8 +99,7 @@ def wanted_sizes(mesh: SimplexMesh, wish: Wish, given: Any = None) -> Sizes:
     InvalidOptionError    lengths that are not finite and positive, or of wrong number; sizes below
                           LEAST of the diagonal; more cells than ``wish.most_cells``
     """
-    used = np.unique(mesh.cells)
-    extent = diagonal(mesh.points[used])
+    used, extent = mesh.used, mesh.extent
     notes = []
     values = np.ones(len(mesh.points))
     if len(mesh.metric):
@@ -211,7 +210,7 @@ def grown(points: FloatArray, edges: IntArray, values: FloatArray, growth: float
     return grown_along(points, edges, values, growth - 1.0)
 
 
-def _as_given(mesh: SimplexMesh, given: Any, used: IntArray) -> FloatArray:
+def _as_given(mesh: SimplexMesh, given: Any, used: LongArray) -> FloatArray:
     """Lengths at the vertices from an array or a callable."""
     if callable(given):
         values = np.ones(len(mesh.points))
@@ -234,7 +233,7 @@ def _as_given(mesh: SimplexMesh, given: Any, used: IntArray) -> FloatArray:
     return out
 
 
-def lengths_at(given: Any, points: FloatArray, used: IntArray) -> FloatArray:
+def lengths_at(given: Any, points: FloatArray, used: LongArray) -> FloatArray:
     """Lengths (k,) that a callable gives at those of the points (n, d) with the index ``used``.
 
     Raises
@@ -264,7 +263,7 @@ def _bad(values: FloatArray) -> LongArray:
     return np.flatnonzero(~(np.isfinite(values) & (values > 0.0)))
 
 
-def _check_positive(values: FloatArray, index: IntArray | None = None) -> None:
+def _check_positive(values: FloatArray, index: LongArray | None = None) -> None:
     bad = _bad(values)
     if bad.size:
         at = bad[0] if index is None else index[bad[0]]

@@ -31,7 +31,7 @@ from odt_plugins.mesh.faces import Faces, joined, labels_at, renumbered, without
 from odt_plugins.mesh.facets import uneven_facets
 from odt_plugins.mesh.numbering import new_numbers
 from odt_plugins.mesh.seen import as_seen
-from odt_plugins.mesh.simplex import SimplexMesh, diagonal, freeze
+from odt_plugins.mesh.simplex import SimplexMesh, freeze
 from odt_plugins.mesh.surface import Edges, surface_edges
 from odt_plugins.options import Options
 from odt_plugins.progress import silent
@@ -94,7 +94,7 @@ def retile(
     if mesh.frozen.all():
         return leaving(unchanged(mesh, "no triangle may change"))
     clock = time.perf_counter()
-    length = options.envelope * diagonal(mesh.points[np.unique(mesh.cells)])
+    length = options.envelope * mesh.extent
     base = mesh if base is None else base
     part = np.ones(len(base.cells))
     held = base
@@ -218,7 +218,7 @@ def _base(start: SurfaceStart, options: Options) -> Base:
     kept = start.kept | held
     if options.boundary == "fixed":
         held = np.ones(len(key), dtype=np.bool_)
-    thin = FLAT * float(np.abs(mesh.points[np.unique(mesh.cells)]).max()) * start.frame.scale
+    thin = FLAT * float(np.abs(mesh.points[mesh.used]).max()) * start.frame.scale
     return Base(in_space(start.points), start.cells, start.regions, edges, fixed, kept, held,
                 metric_in_space(start.metric), thin)
 

@@ -11,7 +11,7 @@ from odt_plugins.errors import counted
 from odt_plugins.mesh.arrays import FloatArray, IntArray, LongArray
 from odt_plugins.mesh.numbering import in_old_numbers, old_numbers
 from odt_plugins.mesh.seen import NO_METRIC
-from odt_plugins.mesh.simplex import SimplexMesh, diagonal
+from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.options import Options
 from odt_plugins.promise.region_sizes import broken_sizes, other_sizes
 from odt_plugins.promise.volume import broken_promises
@@ -46,8 +46,7 @@ def slides(mesh: SimplexMesh, options: Options) -> bool:
 
 def envelope_length(mesh: SimplexMesh, options: Options) -> float:
     """The envelope as a length: ``options.envelope`` times the diagonal of the bounding box."""
-    used = mesh.points[np.unique(mesh.cells)]
-    return options.envelope * diagonal(used)
+    return options.envelope * mesh.extent
 
 
 def measure_slide(mesh: SimplexMesh, points: FloatArray, cells: IntArray, options: Options) -> Slid:

@@ -8,7 +8,7 @@ from odt_plugins.engine.cells.elementary import exp, log, power
 from odt_plugins.engine.odt.density import smooth_over_stars
 from odt_plugins.engine.topology.star import star_sum
 from odt_plugins.mesh.arrays import FloatArray, IntArray
-from odt_plugins.mesh.simplex import diagonal
+from odt_plugins.mesh.simplex import diagonal, vertices_of
 
 AVERAGES = 3
 """Passes that average the curvature tensors, vertices to triangles and back."""
@@ -146,7 +146,7 @@ def curvature_density(points: FloatArray, triangles: IntArray, neighbors: IntArr
         return np.ones(n)
     a, b, c = (points[triangles[:, i]] for i in range(3))
     share = star_sum(np.sqrt((np.cross(b - a, c - a) ** 2).sum(axis=1)), triangles, n)
-    used = np.unique(triangles)
+    used = vertices_of(triangles)
     length = diagonal(points[used])
     if not share.sum() > 0.0:
         return np.ones(n)

@@ -44,7 +44,7 @@ from odt_plugins.engine.topology.star import vertex_stars
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.mesh.facets import row_keys
 from odt_plugins.mesh.seen import as_seen, in_unit
-from odt_plugins.mesh.simplex import SimplexMesh, diagonal
+from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.mesh.surface import Edges, surface_edges
 from odt_plugins.objectives import AIMS, Objective
 from odt_plugins.options import Options
@@ -399,8 +399,7 @@ def _build(
     ground = make_ground(points, triangles, edges, stars, features.edges)
     sheet = make_sheet(points, triangles, edges, features)
     sheet.locked[edges.of_cell[shut[triangles].all(axis=1)]] = True
-    used = mesh.points[np.unique(mesh.cells)]
-    length = diagonal(used) * frame.scale
+    length = mesh.extent * frame.scale
     limits = Limits(
         (POLICY.surface_guard * options.envelope * length) ** 2, (slack * length) ** 2,
         math.cos(math.radians(POLICY.surface_turn)),

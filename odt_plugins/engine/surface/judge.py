@@ -131,7 +131,7 @@ def _newly_folded(
 def measured(mesh: SimplexMesh, kept: Kept, points: FloatArray, cells: IntArray) -> Distance:
     """Bound the distances both ways; neither is said to leave the envelope when it does not."""
     # neighbours in space next to each other in memory: several times as fast on large surfaces
-    used = np.unique(mesh.cells)
+    used = mesh.used
     rank = np.empty(len(mesh.points), dtype=np.int32)
     order = used[np.argsort(morton_keys(mesh.points[used]), kind="stable")]
     rank[order] = np.arange(len(order), dtype=np.int32)
