@@ -14,7 +14,13 @@ import numpy as np
 from odt_plugins.adapters.files import check_output, expect_same_kind, read_file, write_file
 from odt_plugins.adapters.host import words_of
 from odt_plugins.adapters.registry import find_adapter
-from odt_plugins.errors import InvalidOptionError, UnsupportedMeshError, plain_values
+from odt_plugins.errors import (
+    InvalidOptionError,
+    UnsupportedMeshError,
+    expect,
+    is_number,
+    plain_values,
+)
 from odt_plugins.keywords import RUN, OptionKeywords, RunKeywords, with_option_signature
 from odt_plugins.mesh.numbers import even_rows
 from odt_plugins.mesh.simplex import mesh_arrays, turned_alike
@@ -138,10 +144,8 @@ def _optimized(mesh: Any, how: dict[str, Any], *, tell: bool) -> tuple[Any, Any]
         return how["target"], optimize_file(mesh, **how)
     options = {name: value for name, value in how.items() if name not in RUN}
     run = RUN | {name: plain_values(name, value) for name, value in how.items() if name in RUN}
-    lost = next((name for name in ("file_format", "binary") if run[name] is not None), None)
-    if lost is not None:
-        msg = f"got {lost}={run[lost]!r} without a file; expected target= beside it"
-        raise InvalidOptionError(msg)
+    for name in ("file_format", "binary"):
+        expect(run[name] is None, name, run[name], "None without target=, a file")
     chosen = make_options(**options)
     engine = _engine(chosen, run)
     if has_parts(mesh):
@@ -166,6 +170,7 @@ def optimize_file(
     ------
     MeshFileError            a file cannot be read or written; `target` is then as it was before
     """
+    expect(isinstance(target, str | os.PathLike), "target", target, "a path")
     if not isinstance(source, str | os.PathLike):
         msg = f"got target={os.fspath(target)!r} for a mesh that is no file; expected a path"
         raise InvalidOptionError(msg)
@@ -192,9 +197,11 @@ def optimize_file(
 
 def _engine(options: Options, run: Mapping[str, Any]) -> Callable[..., Outcome] | None:
     """The engine for blocks, if there are any."""
+    expect(is_number(run["workers"]), "workers", run["workers"], "an integer of at least 0")
     if run["blocks"] is None:
-        other = next((name for name in ("workers", "client") if run[name]), None)
-        if other is not None:
+        given = {"workers": run["workers"] != 0, "client": run["client"] is not None}
+        if any(given.values()):
+            other = next(name for name, there in given.items() if there)
             msg = f"got {other}= without blocks; expected blocks=, how many the mesh is cut into"
             raise InvalidOptionError(msg)
         return None

@@ -163,12 +163,13 @@ def endless_walk(vertex: int) -> EndlessWalkError:
 
 
 def plain_values(name: str, values: Any, error: type[ODTError] = InvalidOptionError) -> Any:
-    """Give a tensor of open3d or another library as an array of numpy, a number of numpy as one of
-    Python, which does not overflow, and anything else as it is.
+    """Give a tensor of open3d or another library as an array of numpy, a number of numpy or a
+    fraction as one of Python, which does not overflow, and anything else as it is.
 
     Raises
     ------
-    InvalidOptionError    or another `error`: some values of a masked array are masked
+    InvalidOptionError    or another `error`: some values of a masked array are masked, or a number
+                          is too large
     """
     mask: Any = getattr(values, "mask", None)
     if str(getattr(mask, "dtype", "")) == "bool" and mask.any():
@@ -178,8 +179,13 @@ def plain_values(name: str, values: Any, error: type[ODTError] = InvalidOptionEr
         msg = (f"{name} has {what} (first: at index {first}); expected none, try "
                f"{name}.filled(...), or leave out what is masked")
         raise error(msg)
-    if isinstance(values, numbers.Real) and hasattr(values, "item"):
-        return int(values) if isinstance(values, numbers.Integral) else float(values)
+    if is_number(values):
+        try:
+            number = float(values)
+        except OverflowError as exc:
+            msg = f"got {name} of a number with more than 308 digits; expected a smaller one"
+            raise error(msg) from exc
+        return int(values) if isinstance(values, numbers.Integral) else number
     if not callable(getattr(values, "numpy", None)):
         return values
     return (values.cpu() if hasattr(values, "cpu") else values).numpy().copy()

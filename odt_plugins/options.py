@@ -57,6 +57,12 @@ STAYS_SIZED = ("periodic", "layers")
 OF_UNTANGLING = ("insert", "fixed", "selection", "regions", "threads", "progress")
 """Options of :func:`odt_plugins.untangle`."""
 
+MOST = 2**31 - 1
+"""Largest integer that an option may be."""
+
+MOST_SHARE = 1000
+"""Largest number that a switch may be."""
+
 Progress = Callable[[str, float], None]
 
 COMPILING = "compiling the kernels, once on this machine: up to half a minute ..."
@@ -91,14 +97,16 @@ def _check_fields(options: Options | Smoothing) -> None:
             good = isinstance(value, str) and value in choices
             expect(good, *worded(name, value), f"one of {choices}")
         if about.metadata["share"] and not isinstance(value, bool):
-            good = is_number(value) and 0 < value < float("inf")
-            expect(good, *worded(name, value), "a bool, or a number above 0")
+            good = is_number(value) and 0 < value <= MOST_SHARE
+            what = f"a bool, or a number above 0 and at most {MOST_SHARE}"
+            expect(good, *worded(name, value), what)
         elif isinstance(about.default, bool):
             expect(isinstance(value, bool), *worded(name, value), "a bool")
         elif isinstance(about.default, int):
             good = isinstance(value, Integral) and not isinstance(value, bool)
             good = good and int(value) >= least
             expect(good, *worded(name, value), f"an integer of at least {least}")
+            expect(int(value) <= MOST, *worded(name, value), f"an integer of at most {MOST}")
 
 
 def worded(name: str, value: Any) -> tuple[str, Any]:
@@ -293,7 +301,8 @@ class Options:
         """Refuse values outside their range, and options that would have no effect."""
         if isinstance(self.smoothing, Mapping):
             expect_known(self.smoothing, SMOOTHING, "values of smoothing")
-            object.__setattr__(self, "smoothing", Smoothing(**self.smoothing))
+            values = {name: plain_values(name, value) for name, value in self.smoothing.items()}
+            object.__setattr__(self, "smoothing", Smoothing(**values))
         good = isinstance(self.smoothing, Smoothing)
         expect(good, "smoothing", self.smoothing, f"a dict with some of {list(SMOOTHING)}")
         lab = self.smoothing

@@ -67,6 +67,6 @@ def _array(part: Any, name: str) -> NDArray[Any]:
     try:
         values = np.array(part)
         return values.astype(np.float64) if name == "points" else values
-    except (TypeError, ValueError) as exc:
+    except (TypeError, ValueError, OverflowError) as exc:
         msg = f"got {name} that are no rows of numbers of one length ({exc}); try an array"
         raise InvalidMeshError(msg) from exc

@@ -146,7 +146,11 @@ def _chosen(members: Any, count: int, what: str) -> NDArray[Any]:
     ------
     InvalidMeshError    they are neither
     """
-    given = np.ravel(members)
+    try:
+        given = np.ravel(members)
+    except ValueError as exc:
+        msg = f"{what} has rows of several lengths; expected indices or a mask"
+        raise InvalidMeshError(msg) from exc
     given = given if given.size else given.astype(np.int64)
     if given.dtype.kind not in "biu":
         msg = f"{what} has numbers of dtype {given.dtype}; expected indices or a mask"

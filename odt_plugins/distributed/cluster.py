@@ -13,7 +13,7 @@ from typing import Any
 
 from odt_plugins.distributed.apply import Apply
 from odt_plugins.distributed.versions import PACKAGES, expect_versions, versions_here
-from odt_plugins.errors import WorkerError, require
+from odt_plugins.errors import WorkerError, expect, require
 
 PATIENCE = 30.0
 """Seconds to wait for a scheduler, and for its first worker."""
@@ -95,6 +95,7 @@ def on_cluster(client: Any) -> Apply:
     InvalidOptionError, WorkerError
     """
     require("a cluster", "dask", "dask", "distributed")
+    expect(hasattr(client, "wait_for_workers"), "client", client, "a distributed.Client")
     check_workers(client)
 
     def apply(function: Callable[[Any], Any], items: Iterable[Any]) -> Iterator[Any]:

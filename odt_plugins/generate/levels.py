@@ -49,6 +49,9 @@ BY_TETWILD = 0.2
 TOLERANCE = 0.02
 """Distances are bounded to this part of the envelope."""
 
+MOST_LEVELS = 31
+"""Most levels: as many would make too many cells of any mesh."""
+
 CARRIED = ("selection", "fixed", "regions", "insert", "boundary", "progress", "envelope",
            "feature_angle")
 """Options that are not the same at every level."""
@@ -240,6 +243,7 @@ def check_levels(levels: Any, edge_length: Any, options: Mapping[str, Any]) -> N
         raise InvalidOptionError(msg)
     whole = isinstance(levels, Integral) and not isinstance(levels, bool)
     expect(whole and int(levels) >= 0, "levels", levels, "an integer of at least 0")
+    expect(int(levels) <= MOST_LEVELS, "levels", levels, f"an integer of at most {MOST_LEVELS}")
     good = isinstance(edge_length, Real) and not isinstance(edge_length, bool)
     expect(good and 0 < edge_length < 1, "edge_length", edge_length,
            "a part of the diagonal, between 0 and 1")

@@ -24,7 +24,7 @@ def real_numbers(raw: Any, what: str, expected: str) -> FloatArray:
             msg = f"they are of type {found.dtype}"
             raise TypeError(msg)
         return found.astype(np.float64)
-    except (TypeError, ValueError) as exc:
+    except (TypeError, ValueError, OverflowError) as exc:
         msg = f"got {what}: {exc}; expected {expected}"
         raise InvalidOptionError(msg) from exc
 

@@ -210,14 +210,15 @@ def test_subdomains_and_boundaries_may_be_masks_and_lists(resize):
         assert np.array_equal(np.sort(getattr(by_list, name)[members]), known)
 
 
-@pytest.mark.parametrize("members", [[99999], np.ones(3, dtype=bool), [0.5]])
+@pytest.mark.parametrize("members", [
+    np.array([99999]), np.ones(3, dtype=bool), np.array([0.5]), [[1], [2, 3]]])
 @pytest.mark.parametrize("what", ["subdomain", "boundary"])
 def test_members_out_of_range_are_refused_by_the_name_of_their_set(what, members):
     points, cells, _ = contract.grid(3, 3)
     where = {"subdomain": "_subdomains", "boundary": "_boundaries"}[what]
     mesh = dataclasses.replace(
         skfem.MeshTet(np.ascontiguousarray(points.T), np.ascontiguousarray(cells.T)),
-        **{where: {"part": np.asarray(members)}})
+        **{where: {"part": members}})
     with pytest.raises(InvalidMeshError, match=rf"^{what} 'part' has .*; expected indices"):
         odt_plugins.optimize(mesh)
 

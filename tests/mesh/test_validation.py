@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import replace
+from fractions import Fraction
 
 import contract
 import numpy as np
@@ -189,6 +190,16 @@ BAD_OPTIONS = {
     "finish": ({"finish": "yes"}, r"got finish='yes'; expected a bool"),
     "insert": ({"insert": "yes"}, r"got insert='yes'; expected a bool, or a number above 0"),
     "insert no share": ({"insert": 0.0}, r"got insert=0.0; expected a bool, or a number above 0"),
+    "insert too many": ({"insert": 1e300}, r"got insert=1e\+300; expected a bool.* at most 1000"),
+    "threads too many": ({"threads": 2**63}, r"got threads=9.*; expected an integer of at most 2"),
+    "cycles too large": ({"smoothing": {"cycles": 10**400}}, r"got cycles of a number with more"),
+    "metric too large": ({"metric": 8 * [10**400]}, r"got a metric.* too large.*; expected one"),
+    "target no path": ({"target": 3}, r"got target=3; expected a path"),
+    "format without file": ({"file_format": np.ones(99)}, r"got file_format= of type ndarray; "),
+    "workers": ({"workers": np.ones(2)}, r"got workers=array.*; expected an integer of at least 0"),
+    "workers of blocks": ({"blocks": 2, "workers": "4"}, r"got workers='4'; expected an integer"),
+    "client alone": ({"client": np.ones(2)}, r"got client= without blocks; expected blocks="),
+    "client": ({"blocks": 2, "client": 3}, r"got client=3; expected a distributed.Client"),
     "keep": ({"keep": ("mean",)}, r"got keep=\('mean',\); expected some of \('min_quality'"),
     "keep string": ({"keep": "quality"}, r"got keep='quality'; expected some of"),
     "progress": ({"progress": 3}, r"got progress=3; expected None, True or a callable"),
@@ -595,7 +606,7 @@ def test_degenerate_triangles_in_space_are_refused():
 
 @pytest.mark.parametrize("options", [
     {"cells": np.int8(100)}, {"cells": np.uint8(200)}, {"vertices": np.int8(100)},
-    {"scale": np.longdouble(0.75)}])
+    {"scale": np.longdouble(0.75)}, {"scale": Fraction(3, 4)}])
 def test_small_numbers_of_numpy_ask_for_what_plain_ones_do(options):
     plain = {name: float(value) if name == "scale" else int(value)
              for name, value in options.items()}
@@ -629,6 +640,13 @@ def test_small_numbers_of_numpy_count_threads_blocks_and_levels():
     (odt_plugins.untangle, {"rest": [[[1], 2, 3]]}, r"got rest with rows of several lengths"),
     (odt_plugins.refine, {"levels": np.ones((99, 3))}, r"got levels= of type ndarray; expected"),
     (odt_plugins.refine, {"edge_length": np.ones((99, 3))}, r"got edge_length= of type ndarray"),
+    (odt_plugins.refine, {"levels": 2**40}, r"got levels=1099511627776; expected an .* at most 31"),
+    (odt_plugins.remesh, {"size": 10**400}, r"got size of a number with more than 308 digits"),
+    (odt_plugins.remesh, {"size": 8 * [10**400]}, r"got sizes.* too large"),
+    (odt_plugins.remesh, {"cells": 10**400}, r"got cells of a number with more than 308 digits"),
+    (odt_plugins.remesh, {"scale": Fraction(10**400)}, r"got scale of a number with more than 308"),
+    (odt_plugins.remesh, {"scale": 1, "most_cells": None}, r"got most_cells=None; expected an int"),
+    (odt_plugins.optimize, {"insert": 10**400}, r"got insert of a number with more than 308 dig"),
 ])
 def test_other_verbs_tell_long_and_uneven_values_in_one_sentence(verb, options, message):
     with pytest.raises(InvalidOptionError, match=message) as caught:

@@ -54,7 +54,7 @@ class Wish:
                 expect(good, name, value, "a number above 0")
         for name, least in (("cells", 1), ("vertices", 4), ("most_cells", 1)):
             value = getattr(self, name)
-            if value is not None:
+            if value is not None or name == "most_cells":
                 good = isinstance(value, Integral) and not isinstance(value, bool)
                 expect(good and value >= least, name, value, f"an integer of at least {least}")
         good = is_number(self.growth) and 1.0 < self.growth < float("inf")
