@@ -77,7 +77,7 @@ def mesh(
     from odt_plugins.generate.userfile import read_domain
     from odt_plugins.table import table_lines
 
-    check_paths(target, report_file, None)
+    check_paths(Path(what), target, report_file)
     check_output(target)
     if what in SAMPLES:
         sample, known = SAMPLES[what], True

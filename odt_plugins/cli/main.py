@@ -158,7 +158,7 @@ def optimize(
     no figure named in --keep gets worse. With an OUTPUT ending in .pvtu, INPUT is another such file
     or a directory of .vtu files, and only one of the pieces is in memory at a time.
     """
-    check_paths(target, report_file, plot_file)
+    check_paths(source, target, report_file, plot_file)
     options = resolve_arrays(source, options)
     pieces = target.suffix == ".pvtu"
     if given("block_rounds") and blocks is None and not pieces:
@@ -236,7 +236,7 @@ def tetrahedralize(
     slides = options["boundary"] == "slide" or (sizes and not given("boundary"))
     if given("feature_angle") and not levels and not slides:
         refuse("feature_angle", "for a boundary that stays", "--boundary slide or --levels")
-    check_paths(target, report_file, None)
+    check_paths(source, target, report_file)
     with warnings_told(quiet), progress_bar(quiet) as progress:
         warnings.simplefilter("ignore", NotFilledWarning)
         report: Any
@@ -271,7 +271,7 @@ def untangle(source: Path, target: Path, rest: Path | None, partial: bool,
 
     The boundary, interfaces and fixed vertices stay where they are; the others move.
     """
-    check_paths(target, report_file, None)
+    check_paths(source, target, report_file)
     options = resolve_arrays(source, options)
     from odt_plugins.adapters.files import check_output, expect_same_kind, read_file, write_file
     from odt_plugins.api import untangle_with_report

@@ -39,7 +39,7 @@ def remesh(
     One of --size, --scale, --cells and --vertices says how fine it is to be. Surfaces stay within
     --envelope of those of INPUT, both ways.
     """
-    check_paths(target, report_file, None)
+    check_paths(source, target, report_file)
     sizes = take_sizes(options)
     if not given("boundary"):
         del options["boundary"]

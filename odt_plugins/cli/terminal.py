@@ -85,12 +85,18 @@ def command_line(context: click.Context, **settled: Any) -> str:
     return shlex.join(words)
 
 
-def check_paths(target: Path, report_file: Path | None, plot_file: Path | None) -> None:
-    """Refuse a report or a figure that cannot be written, before any work is done."""
-    given = [p for p in (target, report_file, plot_file) if p is not None]
-    if len({p.absolute() for p in given}) < len(given):
-        msg = "OUTPUT, --report and --plot name the same file; expected different ones"
-        raise click.UsageError(msg)
+def check_paths(
+    source: Path, target: Path, report_file: Path | None, plot_file: Path | None = None
+) -> None:
+    """Refuse a report or a figure that cannot be written, before any work is done.
+
+    They take the place of no other file of the command, while `target` may be `source`.
+    """
+    beside = [os.path.realpath(p) for p in (report_file, plot_file) if p is not None]
+    for word, path in (("OUTPUT", target), ("INPUT", source)):
+        if len({os.path.realpath(path), *beside}) <= len(beside):
+            msg = f"{word}, --report and --plot name the same file; expected different ones"
+            raise click.UsageError(msg)
     if plot_file is not None:
         if plot_file.suffix.lower() not in PLOT_SUFFIXES:
             msg = f"got {plot_file.name!r}; expected a file ending in {', '.join(PLOT_SUFFIXES)}"

@@ -417,6 +417,7 @@ BAD = [
     ("optimize in.vtu out.vtu --regions nosuch", 2, "--regions nosuch names no cell array"),
     ("optimize in.vtu out.vtu --plot p.bmp", 2, "expected a file ending in .png"),
     ("optimize in.vtu out.vtu --report out.vtu", 2, "name the same file"),
+    ("optimize in.vtu out.vtu --report folder.vtu/../in.vtu", 2, "INPUT, --report and --plot name"),
     ("optimize zero.vtu out.vtu --density rho", 2, "density"),
     ("optimize in.vtu out.nosuch", 1, "out.nosuch has no suffix of a mesh file"),
     ("optimize in.vtu no/out.vtu", 1, "cannot write no/out.vtu"),
