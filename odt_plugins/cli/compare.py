@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from odt_plugins.cli.terminal import command_line
+from odt_plugins.cli.terminal import check_folder, command_line
 from odt_plugins.compare.cells import BETTER, best_figures, cells_of, marked, seconds
 from odt_plugins.compare.contestants import OURS, Contestant, choose
 from odt_plugins.compare.output import FILES, write_all
@@ -75,6 +75,9 @@ def compare(
     if keep and suite in ("tangled", "remesh"):
         msg = f"got --keep for --suite {suite}, which keeps no meshes; expected another suite"
         raise click.UsageError(msg)
+    check_folder(out, "--out")
+    if keep:
+        check_folder(keep, "--keep")
     if suite == "tangled":
         from odt_plugins.compare.tangled import FILE, run_tangled
 

@@ -23,6 +23,9 @@ from odt_plugins.progress import shown
 
 PLOT_SUFFIXES = (".png", ".pdf", ".svg")
 
+PARTLY = "the command untangle with --partial"
+"""What there is to try on the command line where Python has an argument of a function."""
+
 JOINED = "an INPUT whose geometries are joined to one"
 """What there is to try on the command line where Python has a method of scenes."""
 
@@ -93,8 +96,8 @@ def check_paths(
     They take the place of no other file of the command, while `target` may be `source`.
     """
     beside = [os.path.realpath(p) for p in (report_file, plot_file) if p is not None]
-    for word, path in (("OUTPUT", target), ("INPUT", source)):
-        if len({os.path.realpath(path), *beside}) <= len(beside):
+    for word, other in (("OUTPUT", target), ("INPUT", source)):
+        if len({os.path.realpath(other), *beside}) <= len(beside):
             msg = f"{word}, --report and --plot name the same file; expected different ones"
             raise click.UsageError(msg)
     if plot_file is not None:
@@ -110,6 +113,15 @@ def check_paths(
             what = "it is a directory" if path.is_dir() else f"{folder} is no writable directory"
             msg = f"cannot write {path}: {what}; try another path"
             raise MeshFileError(msg)
+
+
+def check_folder(folder: Path, flag: str) -> None:
+    """Refuse a folder that cannot be made or written into, before any work is done."""
+    whole = folder.absolute()
+    there = next(path for path in (whole, *whole.parents) if os.path.lexists(path))
+    if not there.is_dir() or not os.access(there, os.W_OK | os.X_OK):
+        msg = f"cannot write into {folder}: {there} is no writable directory; try another {flag}"
+        raise MeshFileError(msg)
 
 
 def write_beside(path: Path, write: Callable[[Path], Any]) -> None:
@@ -174,7 +186,7 @@ def in_flags(text: str) -> str:
     own = (name for name, about in OPTIONS.items() if about.metadata["flag"] is not None)
     names = "|".join(("size", *WISHES, *own))
     value = r"""'[^']*'|"[^"]*"|\([^()]*\)|[-+.\w]*\w"""
-    text = text.replace(TOGETHER, JOINED)
+    text = text.replace(TOGETHER, JOINED).replace("untangle(mesh, partial=True)", PARTLY)
     text = re.sub(r"smoothing=\{'(\w+)': '?([^{}']*)'?\}", r"--smoothing \1=\2", text)
     text = re.sub(rf"(?<![\w.-])({names})=({value})", flag, text)
     return re.sub(rf"(?<![\w.-])({names})=(?=[\s,.;)]|$)",

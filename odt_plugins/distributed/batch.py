@@ -37,7 +37,7 @@ from odt_plugins.distributed.job import (
 from odt_plugins.distributed.local import end_with
 from odt_plugins.distributed.scratch import clear, make_scratch
 from odt_plugins.distributed.versions import expect_versions, versions_here
-from odt_plugins.errors import InvalidOptionError, MeshFileError, exit_name
+from odt_plugins.errors import InvalidOptionError, MeshFileError, exit_name, expect
 from odt_plugins.options import COMPILING, EDGE_LENGTH, make_options
 from odt_plugins.processes import ENDED, GROUP, end_group, expect_limits, handling
 from odt_plugins.progress import silent
@@ -159,8 +159,7 @@ def make_jobs(
     sources : paths
     out : path
     options : dict               of :func:`odt_plugins.optimize`
-    suffix : str or None         of the results; unless given that of the input, for tetrahedra
-                                 .vtu
+    suffix : str or None         of the results; unless given that of the input, .vtu of tetrahedra
     **settings                   other fields of :class:`Job`
 
     Raises
@@ -171,6 +170,9 @@ def make_jobs(
                                  a scene
     """
     make_options(**options)
+    if suffix:
+        expect(suffix[0] == ".", "suffix", suffix, "one with its dot, as .vtu")
+        check_output(Path(tempfile.gettempdir()) / f"x{suffix}")
     sizes = settings.get("sizes", {})
     if settings.get("tetrahedralize"):
         from odt_plugins.generate.fill import check_fill
@@ -207,8 +209,6 @@ def make_jobs(
             expect_same_kind(path, name)
         taken.add(str(name))
         jobs.append(Job(path, os.path.abspath(out), str(name), dict(options), **settings))
-    if suffix:
-        check_output(Path(tempfile.gettempdir()) / f"x{suffix}")
     return jobs
 
 

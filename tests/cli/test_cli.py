@@ -438,6 +438,9 @@ BAD = [
     ("quality quad.vtu", 1, "expected tetra or triangle"),
     ("demo --edge-length 0", 2, "0.0 is not in the range"),
     ("demo --out in.vtu", 1, "in.vtu"),
+    ("compare none.vtu --out in.vtu", 1, "cannot write into in.vtu: .*; try another --out"),
+    ("compare none.vtu --keep in.vtu/k", 1, "cannot write into in.vtu/k: .*; try another --keep"),
+    ("batch in.vtu --out o --suffix vtu", 2, "got suffix='vtu'; expected one with its dot"),
 ]
 
 
@@ -601,6 +604,7 @@ print(gc.get_threshold()[0] == __main__.RARELY, gc.get_freeze_count() > 1000)
     ("regions=('my part', 'b')", "--regions 'my part,b'"), ("size='0,2'", "--size 0,2"),
     ("regions=None", "--regions none"), ("envelope=0.002; q=3", "--envelope 0.002; q=3"),
     ("progress=True, my.keep=(1)", "progress=True, my.keep=(1)"),
+    ("or untangle(mesh, partial=True) for", "or the command untangle with --partial for"),
 ])
 def test_options_are_named_by_their_flags(said, flags):
     assert terminal.in_flags(said) == flags
