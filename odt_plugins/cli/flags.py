@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -212,10 +213,19 @@ def cluster_flags(command: Callable[..., Any]) -> Callable[..., Any]:
                              "odt-plugins[dask].")(command)
 
 
+def _some_number(_: click.Context, flag: click.Parameter, value: float | None) -> float | None:
+    """A limit, which nan is not."""
+    if value is not None and math.isnan(value):
+        msg = "got nan; expected a number"
+        raise click.BadParameter(msg, param=flag)
+    return value
+
+
 def limit_flags(command: Callable[..., Any]) -> Callable[..., Any]:
     """Give a command the flags of limits that figures of its meshes may not pass."""
     for flag, text in (("--max-angle", "Largest (dihedral) angle in degrees."),
                        ("--min-angle", "Least (dihedral) angle in degrees."),
                        ("--min-quality", "Least radius ratio that a mesh may have.")):
-        command = click.option(flag, type=float, default=None, help=text)(command)
+        command = click.option(
+            flag, type=float, default=None, callback=_some_number, help=text)(command)
     return command

@@ -123,6 +123,7 @@ def refine(
     ----------
     L. Chen, M. Holst, CMAME 200 (2011) 967-984, doi:10.1016/j.cma.2010.11.007, Section 5.3.
     """
+    expect(isinstance(optimize, bool), "optimize", optimize, "a bool")
     if optimize:
         return refine_with_report(
             mesh, levels, surface=surface, edge_length=edge_length, **options)[0]

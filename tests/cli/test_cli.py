@@ -436,6 +436,7 @@ BAD = [
     ("quality", 2, "Missing argument 'INPUT...'"),
     ("quality text.vtu", 1, "cannot read text.vtu"),
     ("quality quad.vtu", 1, "expected tetra or triangle"),
+    ("quality in.vtu --min-angle nan", 2, "got nan; expected a number"),
     ("demo --edge-length 0", 2, "0.0 is not in the range"),
     ("demo --out in.vtu", 1, "in.vtu"),
     ("compare none.vtu --out in.vtu", 1, "cannot write into in.vtu: .*; try another --out"),

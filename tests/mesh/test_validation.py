@@ -640,6 +640,8 @@ def test_small_numbers_of_numpy_count_threads_blocks_and_levels():
     (odt_plugins.untangle, {"rest": [[[1], 2, 3]]}, r"got rest with rows of several lengths"),
     (odt_plugins.refine, {"levels": np.ones((99, 3))}, r"got levels= of type ndarray; expected"),
     (odt_plugins.refine, {"edge_length": np.ones((99, 3))}, r"got edge_length= of type ndarray"),
+    (odt_plugins.refine, {"optimize": np.ones(3)}, r"got optimize=array.*; expected a bool"),
+    (odt_plugins.untangle, {"partial": "no"}, r"got partial='no'; expected a bool"),
     (odt_plugins.refine, {"levels": 2**40}, r"got levels=1099511627776; expected an .* at most 31"),
     (odt_plugins.remesh, {"size": 10**400}, r"got size of a number with more than 308 digits"),
     (odt_plugins.remesh, {"size": 8 * [10**400]}, r"got sizes.* too large"),
