@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -191,9 +192,14 @@ def new_vertices(
         near = np.where(origin < 0, beside, near)
     cell, weights = around(written[placed].astype(np.float64), near[placed])
     number = new_numbers(origin, n)[:n].astype(np.int64)
-    now = depths(outcome.points, outcome.cells, outcome.regions)
+
+    @cache
+    def both() -> tuple[NDArray[np.int8], NDArray[np.int8]]:
+        was, now = (depths(m.points, m.cells, m.regions) for m in (before, outcome))
+        return was, now[placed]
+
     return NewVertices(origin, number, np.flatnonzero(placed), before.cells[cell], weights,
-                       depths=(depths(before.points, before.cells, before.regions), now[placed]))
+                       depths=both)
 
 
 def new_faces(work: Prepared, given: HostMesh, outcome: Outcome) -> tuple[NewFaces | None, ...]:

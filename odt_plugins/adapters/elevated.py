@@ -162,11 +162,11 @@ def elevated(
     which, weights = locate(x, near[placed])
     if curved is not None:
         which, weights = _in_curved(host, x, which, weights, locate)
+    both = (depths(np.asarray(host.points), nodes, host.regions, shape),
+            depths(out, cells, None if host.regions is None else host.regions[result.source],
+                   shape)[placed])
     followed = NewVertices(origin, number, placed, nodes[which].astype(np.int32),
-                           shape_values(shape, weights), depths=(
-        depths(np.asarray(host.points), nodes, host.regions, shape),
-        depths(out, cells, None if host.regions is None else host.regions[result.source],
-               shape)[placed]))
+                           shape_values(shape, weights), depths=lambda: both)
     number_of = dict(zip(map(tuple, ends.tolist()), at.tolist(), strict=True))
     faces = tuple(faces and NewFaces(_with_middles(faces.rows, index, number_of), faces.source)
                   for faces in result.faces)

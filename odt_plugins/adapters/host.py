@@ -221,8 +221,8 @@ class NewVertices(NamedTuple):
     corners : (k, d + 1) int32  input vertices around each of them
     weights : (k, d + 1)        with these barycentric coordinates, of sum 1
     conserved : dict of (n', ...)   fields whose integrals stay, by their names
-    depths : (n,) int, (k,) int     how far inside input vertices are, and vertices `placed`; None
-                                    where that is not known
+    depths : callable or None       gives how far inside (n,) input vertices are, and (k,) vertices
+                                    `placed`
     """
 
     origin: NDArray[np.int64]
@@ -231,7 +231,7 @@ class NewVertices(NamedTuple):
     corners: NDArray[np.int32]
     weights: NDArray[np.float64]
     conserved: Mapping[str, NDArray[Any]] = MappingProxyType({})
-    depths: tuple[NDArray[np.int8], NDArray[np.int8]] | None = None
+    depths: Callable[[], tuple[NDArray[np.int8], NDArray[np.int8]]] | None = None
 
     @property
     def renumbered(self) -> bool:
@@ -257,7 +257,7 @@ class NewVertices(NamedTuple):
             new = added | field
             out[self.placed[new]] = interpolated(at_corners[new], self.weights[new])
             return out
-        near, depths = self.weights, self.depths
+        near, depths = self.weights, self.depths and self.depths()
         if depths is not None and not _alike(values[depths[0] == INSIDE]):
             depths = None
         if depths is not None:

@@ -480,9 +480,8 @@ def _hold_periodic(
 
 def _between_labels(mesh: SimplexMesh) -> BoolArray:
     """Vertices (n,) of cells of several labels; facets inside of a body part no labels."""
-    label = mesh.bodies()
-    least, most = np.full(len(mesh.points), np.iinfo(np.int64).max), np.full(len(mesh.points), -1)
-    for corners in mesh.cells.T:
-        np.minimum.at(least, corners, label)
-        np.maximum.at(most, corners, label)
-    return np.asarray(least < most)
+    label, one = mesh.bodies()[:, None], np.zeros(len(mesh.points), dtype=np.int64)
+    one[mesh.cells] = label
+    between = np.zeros(len(one), dtype=np.bool_)
+    between[mesh.cells[one[mesh.cells] != label]] = True
+    return between

@@ -269,6 +269,6 @@ def _walls(
     if labels is not None:
         inverse = inverse.ravel()
         label = np.tile(labels.ravel(), len(facets) // max(len(cells), 1))
-        np.logical_or.at(differ, inverse, label != label[first[inverse]])
+        differ[inverse[label != label[first[inverse]]]] = True
     chosen = (count == 1) | differ
     return np.asarray(facets[first[chosen]]), count[chosen] == 1

@@ -82,8 +82,7 @@ def beyond(mesh: SimplexMesh, outcome: Outcome, envelope: float) -> tuple[Broken
     slid = Slid(envelope, forward, backward, now / was - 1.0, int(moved.sum()))
     if not max(forward, backward) <= envelope:
         return too_far(f"the boundary is up to {max(forward, backward):.3g}", envelope), slid
-    before, after = boundary_facets(mesh.cells), boundary_facets(outcome.cells)
-    crossings = count_crossings(outcome.points, after)
-    if crossings and crossings > count_crossings(mesh.points, before):
+    crossings = count_crossings(outcome.points, boundary_facets(outcome.cells))
+    if crossings and crossings > count_crossings(mesh.points, boundary_facets(mesh.cells)):
         return Broken("the boundary cuts through itself", Kind.CUT), slid
     return None, slid

@@ -104,9 +104,8 @@ def faults(
             f"the boundary is up to {furthest:.3g} from the input's, beyond the envelope of "
             f"{slid.envelope:.3g}"
         )
-    before, after = boundary_facets(mesh.cells), boundary_facets(cells)
-    crossings = count_crossings(points, after)
-    if crossings and crossings > count_crossings(mesh.points, before):
+    crossings = count_crossings(points, boundary_facets(cells))
+    if crossings and crossings > count_crossings(mesh.points, boundary_facets(mesh.cells)):
         broken.append(f"the boundary cuts through itself at {counted(crossings, 'edge')}")
     return broken, slid
 
