@@ -192,7 +192,10 @@ def _difference(old: NDArray[Any], new: NDArray[Any], *, ordered: bool) -> int:
     if not ordered:
         one, two = np.sort(one, axis=0), np.sort(two, axis=0)
     if np.array_equal(one, two, equal_nan="f" in one.dtype.kind + two.dtype.kind):
-        return 0
+        kinds = {one.dtype.kind, two.dtype.kind}
+        # Whole numbers become floating-point ones where they are held against such.
+        exact = "f" not in kinds or not kinds & {*"iu"} or one.astype(object) == two.astype(object)
+        return 0 if np.all(exact) else 1
     if one.dtype.kind not in "fc" and two.dtype.kind not in "fc":
         return 2
     with np.errstate(all="ignore"):

@@ -17,11 +17,13 @@ from odt_plugins.adapters.higher_order import HIGHER, LAGRANGE, lattice, order_o
 from odt_plugins.adapters.host import POINT_LABELS
 from odt_plugins.adapters.regions import REGION_ARRAYS, are_ids, is_known
 from odt_plugins.adapters.set_labels import (
-    LARGEST,
+    RANGES,
+    SIDES,
     are_few,
     are_groups,
     are_one,
     are_tags,
+    are_within,
     join_sets,
     mask_of,
     numbers_of,
@@ -219,8 +221,10 @@ def fitted(mesh: Any, name: str) -> tuple[Any, list[str]]:
     labels = _labels(out, form.label, some=name == "exodus")
     if form.label and not form.sets:
         labels = of_sets(out, labels, families=labels is out.cell_data.get(FORMS["med"].label))
-    if name in LARGEST:
-        labels = within(out, labels, LARGEST[name])
+    if name in RANGES:
+        labels = within(out, labels, name)
+    if name == "exodus" and SIDES in out.cell_data:
+        out.cell_data[SIDES] = within(out, out.cell_data[SIDES], name)
     if not form.cells or (form.label and name not in LABELLED):
         out.cell_data = {}
     if form.label and labels is not None:
@@ -242,7 +246,6 @@ def fitted(mesh: Any, name: str) -> tuple[Any, list[str]]:
         out.cell_data = {}
     if name == "su2":
         _one_marker(out)
-        _as_written(out)
     if name in ("obj", "off", "ugrid", "wkt") and out.points.shape[1] == 2:
         out.points = np.pad(out.points, ((0, 0), (0, 1)))
     return out, lost
@@ -397,16 +400,6 @@ def _labels(mesh: Any, label: str | None, *, some: bool) -> list[NDArray[Any]] |
     return arrays[(differ or there)[0]] if there else None
 
 
-class _Pair(tuple):  # type: ignore[type-arg]
-    """Type and nodes of a block, as meshio's writer of .su2 files takes them apart."""
-
-    type = property(lambda self: self[0])
-    data = property(lambda self: self[1])
-
-    def __len__(self) -> int:
-        return len(self[1])
-
-
 def _one_marker(mesh: Any) -> None:
     """Give cells at the boundary whose groups have the same name the number of the first."""
     labels = mesh.cell_data.get(FORMS["su2"].label)
@@ -420,18 +413,6 @@ def _one_marker(mesh: Any) -> None:
                 for block, part in zip(mesh.cells, labels, strict=True)]
             for other in others:
                 del mesh.field_data[other]
-
-
-def _as_written(mesh: Any) -> None:
-    """Give points and blocks the form in which meshio's writer of .su2 files uses them."""
-    flat = mesh.points.shape[1] == 3 and not mesh.points[:, 2].any()
-    solid = any(block.dim == 3 for block in mesh.cells)
-    if mesh.points.shape[1] == 3 and not flat and not solid:
-        msg = "it holds no triangles in space, only those of the plane z = 0"
-        raise UnsupportedMeshError(msg)
-    if flat and not solid:
-        mesh.points = mesh.points[:, :2]
-    mesh.cells = [_Pair((block.type, block.data)) for block in mesh.cells]
 
 
 def group_names(mesh: Any) -> set[str]:
@@ -499,6 +480,13 @@ def _with_tags(mesh: Any, name: str) -> Any:
     if PHYSICAL not in mesh.cell_data:
         mesh.cell_data[PHYSICAL] = [np.zeros(len(block.data), dtype=np.int32)
                                     for block in mesh.cells]
+    mesh.cell_data[PHYSICAL] = within(mesh, mesh.cell_data[PHYSICAL], name)
+    if ENTITY in mesh.cell_data and not are_within(mesh.cell_data[ENTITY], name):
+        names = mesh.field_data
+        mesh.cell_data[ENTITY] = within(mesh, mesh.cell_data[ENTITY], name)
+        mesh.field_data = names
+        mesh.point_data.pop(BOOKKEEPING[0], None)
+        mesh.cell_sets.pop(BOOKKEEPING[1], None)
     if ENTITY not in mesh.cell_data:
         mesh.cell_data[ENTITY] = _entities(mesh)
     mesh.point_data = {key: values for key, values in mesh.point_data.items()

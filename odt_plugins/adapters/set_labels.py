@@ -38,8 +38,12 @@ MOST = 2**31 - 1
 EXACT = 2**53
 """Largest number up to which floating-point numbers hold all whole ones."""
 
-LARGEST = {"nastran": MOST, "netgen": 99_999}
-"""Formats whose tools take no labels but those from 1 on, and up to which these are.
+RANGES = {
+    "nastran": (1, MOST), "netgen": (1, 99_999),
+    **dict.fromkeys(("avsucd", "exodus", "gmsh", "gmsh22", "medit", "tetgen", "ugrid"),
+                    (-MOST, MOST)),
+}
+"""Least and largest label that the tools of a format take.
 
 Netgen has names and tables for all numbers up to the largest.
 """
@@ -198,21 +202,26 @@ def are_one(labels: list[Any]) -> bool:
     return len({int(end) for part in parts for end in (part.min(), part.max())}) < 2
 
 
-def within(mesh: Any, labels: list[NDArray[Any]] | None, largest: int) -> list[NDArray[Any]]:
-    """Labels from 1 to the largest; free numbers stand in place of others: k of -k if k is free.
+def within(mesh: Any, labels: list[NDArray[Any]] | None, name: str) -> list[NDArray[Any]] | None:
+    """Labels in the range of a format; free numbers stand in place of others: k of -k if k is free.
 
     Parameters
     ----------
     mesh : meshio.Mesh      its field data get the numbers
-    labels : list of (m,)   of the blocks; None of none
-    largest : int
+    labels : list of (m,)   of the blocks; None of none, which are 0 where the range begins with 1
+    name : str              one of RANGES
     """
+    least, largest = RANGES[name]
+    if labels is None and least < 1:
+        return None
     out = [np.array(part, dtype=np.int64) for part in
            labels or [np.zeros(len(block.data)) for block in mesh.cells]]
+    if labels is not None and are_within(labels, name):
+        return labels
     for dim in {block.dim for block in mesh.cells}:
         own = [i for i, block in enumerate(mesh.cells) if block.dim == dim]
         there = np.unique(np.concatenate([out[i] for i in own]))
-        good = (there > 0) & (there <= largest)
+        good = (there >= least) & (there <= largest)
         used, bad = {*there[good].tolist()}, there[~good].tolist()
         new = {old: -old for old in bad if 0 < -old <= largest and -old not in used}
         used.update(new.values())
@@ -225,6 +234,13 @@ def within(mesh: Any, labels: list[NDArray[Any]] | None, largest: int) -> list[N
             name: np.array([new.get(int(tag), tag), dim]) if of == dim else np.array([tag, of])
             for name, (tag, of) in mesh.field_data.items()}
     return out
+
+
+def are_within(labels: list[Any], name: str) -> bool:
+    """Whether labels are in the range of a format."""
+    least, largest = RANGES[name]
+    return all(least <= int(part.min()) and int(part.max()) <= largest
+               for part in map(np.asarray, labels) if len(part))
 
 
 def are_tags(labels: list[Any]) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 
 import meshio
+import netCDF4
 import numpy as np
 import pytest
 from contract import grid
@@ -72,6 +73,40 @@ def test_labels_may_be_of_any_type(suffix, kind, tmp_path):
     places = np.concatenate([back.points[b.data].mean(axis=1)[:, 0] for b in back.cells])
     assert len(np.unique(found[places > 0.5])) == len(np.unique(found[places < 0.5])) == 1
     assert len(np.unique(found)) == 2
+
+
+@pytest.mark.parametrize("name", ["gmsh:physical", "gmsh:geometrical"])
+@pytest.mark.parametrize("suffix", [".msh", *sorted(LABELS)])
+def test_labels_of_more_than_32_bits_are_other_numbers_as_a_warning_says(suffix, name, tmp_path):
+    """Two of them that are equal in their lower 32 bits stay two, and tools find no others."""
+    labels = 2**31 + 5, 2**32 + 2**31 + 5
+    mesh = labelled(labels, name)
+    del mesh.cell_data["colour"], mesh.cell_data["vtkOriginalCellIds"]
+    mesh.field_data = {"far": np.array([labels[0], 3])} if name == "gmsh:physical" else {}
+    label = LABELS.get(suffix, name)
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        write_file(tmp_path / f"a{suffix}", mesh)
+    # MED has a group of this name, and Exodus the array beside its blocks.
+    assert suffix in (".e", ".med") or f"cell data {name!r}" in str([w.message for w in said])
+    back = read_file(tmp_path / f"a{suffix}")
+    found = np.concatenate(back.cell_data[label])
+    places = np.concatenate([back.points[b.data].mean(axis=1)[:, 0] for b in back.cells])
+    assert {np.unique(np.abs(found[side])).tolist()[0]
+            for side in (places > 0.5, places < 0.5)} == {1, 2}
+    assert len(np.unique(found)) == 2
+    if suffix == ".msh" and name == "gmsh:physical":
+        assert back.field_data["far"][0] in np.unique(found[places > 0.5])
+    if suffix == ".e":
+        with netCDF4.Dataset(tmp_path / "a.e") as file:
+            assert sorted(file["eb_prop1"][:].tolist()) == [1, 2]
+
+
+def test_whole_numbers_that_doubles_round_are_named(tmp_path):
+    mesh = labelled((2**53 + 1, 3), "dose")
+    del mesh.cell_data["colour"], mesh.cell_data["vtkOriginalCellIds"]
+    with pytest.warns(DataNotKeptWarning, match="the last digits of cell data 'dose'"):
+        write_file(tmp_path / "a.msh", mesh)
 
 
 def test_ids_are_no_blocks_of_exodus(tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import count
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -171,13 +172,10 @@ def _longest(mesh: Any) -> int:
 def _ids(labels: list[int]) -> list[int]:
     """Ids that are positive and differ: labels where these are, else numbers behind them."""
     out: list[int] = []
-    fresh = max([0, *labels]) + 1
+    last = max([0, *labels])
+    fresh = (k for k in count(last + 1 if last + len(labels) <= LARGEST else 1) if k not in labels)
     for label in labels:
-        if label > 0 and label not in out:
-            out.append(label)
-        else:
-            out.append(fresh)
-            fresh += 1
+        out.append(label if label > 0 and label not in out else next(fresh))
     return out
 
 

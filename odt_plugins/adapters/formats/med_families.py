@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 
 from odt_plugins.adapters.formats.med import CELL_TAGS, LONGEST, POINT_TAGS, TURNED
 
+MOST = 2**31 - 1
+"""Largest number of a family."""
+
 
 def with_families(mesh: Any) -> None:
     """Give a mesh for meshio's writer families of its sets, and cells in the order of the format.
@@ -77,7 +80,8 @@ def _families(
     names = [[name for name, inside in zip(cut, row[1:], strict=True) if inside]
              or [_free(str(row[0]), cut, sets)] * bool(row[0]) for row in choices.tolist()]
     whole = np.abs(choices[:, 0])
-    same = len(np.unique(whole)) == len(whole) and (whole[[bool(own) for own in names]] > 0).all()
+    same = (len(np.unique(whole)) == len(whole) and whole.max(initial=0) <= MOST
+            and (whole[[bool(own) for own in names]] > 0).all())
     numbers, fresh = np.zeros(len(choices), dtype=np.int64), 0
     for i, own in enumerate(names):
         if own:

@@ -21,7 +21,7 @@ from odt_plugins.adapters.formats.decks import (
     rows_of,
 )
 from odt_plugins.adapters.formats.titles import decoded
-from odt_plugins.errors import MeshFileError
+from odt_plugins.errors import MeshFileError, UnsupportedMeshError
 
 TYPES = {1: ("vertex", 1), 3: ("line", 2), 5: ("triangle", 3), 9: ("quad", 4), 10: ("tetra", 4),
          12: ("hexahedron", 8), 13: ("wedge", 6), 14: ("pyramid", 5)}
@@ -61,6 +61,16 @@ class Parts(NamedTuple):
     cells: list[Section]
     blocks: list[tuple[str, list[tuple[int, int]]]]
     remarks: list[str]
+
+
+class _Pair(tuple):  # type: ignore[type-arg]
+    """Type and nodes of a block, as meshio's writer takes them apart."""
+
+    type = property(lambda self: self[0])
+    data = property(lambda self: self[1])
+
+    def __len__(self) -> int:
+        return len(self[1])
 
 
 def read(path: Path) -> Any:
@@ -108,6 +118,7 @@ def write(path: Path, mesh: Any, binary: bool | None) -> list[str]:
     import meshio
 
     del binary
+    mesh = _as_written(mesh)
     meshio.write(path, mesh, file_format="su2")
     dim = mesh.points.shape[1]
     titles = {title: int(value[0]) for name, value in mesh.field_data.items() if value[1] == dim - 1
@@ -118,6 +129,20 @@ def write(path: Path, mesh: Any, binary: bool | None) -> list[str]:
                   lambda tag: tag[1] + names.get(int(tag[2]), tag[2]), data)
     path.write_text(data, encoding="utf-8", newline="\n")
     return []
+
+
+def _as_written(mesh: Any) -> Any:
+    """A mesh whose points and blocks have the form in which meshio's writer uses them."""
+    mesh = mesh.copy()
+    flat = mesh.points.shape[1] == 3 and not mesh.points[:, 2].any()
+    solid = any(block.dim == 3 for block in mesh.cells)
+    if mesh.points.shape[1] == 3 and not flat and not solid:
+        msg = "it holds no triangles in space, only those of the plane z = 0"
+        raise UnsupportedMeshError(msg)
+    if flat and not solid:
+        mesh.points = mesh.points[:, :2]
+    mesh.cells = [_Pair((block.type, block.data)) for block in mesh.cells]
+    return mesh
 
 
 def rewrite(source: Path, target: Path, change: Change) -> list[str]:
