@@ -37,6 +37,8 @@ from odt_plugins.adapters.formats.change import Change, NotRewritable, Origin, o
 from odt_plugins.adapters.formats.decks import DECK, UNREAD
 from odt_plugins.adapters.formats.readers import readable
 from odt_plugins.adapters.host import HostMesh, Result
+from odt_plugins.adapters.legacy import widen
+from odt_plugins.adapters.lengths import alike
 from odt_plugins.adapters.recolouring import recoloured
 from odt_plugins.adapters.set_labels import as_sets
 from odt_plugins.adapters.stated import declares_no_cells, meaning_of
@@ -227,6 +229,7 @@ def write_file(
     path = Path(path)
     check_output(path)
     expect_same_kind(mesh, path)
+    mesh = mesh if trimesh_scene.matches(mesh) else alike(mesh)
     source = _source(path, mesh) if file_format is None and binary is None else None
     name, binary = chosen_format(path, mesh, file_format, binary)
     with writing(path, "another directory"):
@@ -488,7 +491,7 @@ def _write_heard(path: Path, mesh: Any, name: str, binary: bool | None) -> list[
     import meshio
 
     if name == "vtk":
-        _widen(mesh)
+        widen(mesh)
     # Flat triangles of STL files have no normals. Some writers print numbers as they are written
     # in Python.
     with reading.remarks() as said, np.errstate(all="ignore"), np.printoptions(**PLAIN):
@@ -505,18 +508,6 @@ def _write_heard(path: Path, mesh: Any, name: str, binary: bool | None) -> list[
         else:
             meshio.write(path, mesh, file_format=name, binary=binary)
     return said
-
-
-def _widen(mesh: Any) -> None:
-    """Exchange integers of less than eight bytes, which meshio writes in words VTK lacks."""
-
-    def wide(values: Any) -> NDArray[Any]:
-        array = np.asarray(values)
-        return array.astype(np.int64) if array.dtype.kind in "biu" and array.itemsize < 8 else array
-
-    mesh.point_data = {name: wide(values) for name, values in mesh.point_data.items()}
-    mesh.cell_data = {name: [*map(wide, values)] for name, values in mesh.cell_data.items()}
-    mesh.field_data = {name: wide(values) for name, values in mesh.field_data.items()}
 
 
 def _refused(exc: Exception, path: Path) -> OSError | None:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 from urllib.parse import unquote
 
+import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.errors import MeshFileError
@@ -35,6 +36,18 @@ PER_LINE = 9
 """Numbers on a line."""
 
 COMPONENTS = {b"VECTORS": 3, b"NORMALS": 3, b"TENSORS": 9, b"TENSORS6": 6}
+
+
+def widen(mesh: Any) -> None:
+    """Exchange integers of less than eight bytes, which meshio writes in words VTK lacks."""
+
+    def wide(values: Any) -> NDArray[Any]:
+        array = np.asarray(values)
+        return array.astype(np.int64) if array.dtype.kind in "biu" and array.itemsize < 8 else array
+
+    mesh.point_data = {name: wide(values) for name, values in mesh.point_data.items()}
+    mesh.cell_data = {name: [*map(wide, values)] for name, values in mesh.cell_data.items()}
+    mesh.field_data = {name: wide(values) for name, values in mesh.field_data.items()}
 
 
 def expect_whole(path: Path) -> None:

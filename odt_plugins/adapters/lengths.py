@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Container
+from collections.abc import Container, Sequence
+from copy import copy
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,37 @@ def expect_one_each(
         msg = f"{name} has {have} for {counted(count, word, plural)}; expected one a {word}"
         raise InvalidMeshError(msg)
     return found
+
+
+def of_one_shape(name: str, parts: Sequence[Any]) -> list[NDArray[Any]]:
+    """Cell data of several blocks, of which (m,) and (m, 1) are alike, and none is of any shape.
+
+    Raises
+    ------
+    InvalidMeshError    they have other shapes
+    """
+    arrays = [*map(np.asarray, parts)]
+    if len({array.shape[1:] for array in arrays}) < 2:
+        return arrays
+    arrays = [array.ravel() if array.size == len(array) else array for array in arrays]
+    shapes = {array.shape[1:] for array in arrays if len(array)}
+    if len(shapes) > 1:
+        msg = (f"cell data {name!r} has blocks of shapes "
+               f"{' and '.join(sorted(str(array.shape) for array in arrays))}; expected as many "
+               f"numbers for each cell, try an array for each shape")
+        raise InvalidMeshError(msg)
+    return [array.reshape(-1, *next(iter(shapes), ())) for array in arrays]
+
+
+def alike(mesh: Any) -> Any:
+    """A meshio.Mesh whose cell data have one shape in all blocks; it itself where they have."""
+    parts = {name: of_one_shape(name, values) for name, values in mesh.cell_data.items()}
+    if all(part.shape == np.shape(own) for name, values in mesh.cell_data.items()
+           for part, own in zip(parts[name], values, strict=True)):
+        return mesh
+    out = copy(mesh)
+    out.cell_data = parts
+    return out
 
 
 def from_start(members: NDArray[Any], size: int) -> NDArray[Any]:

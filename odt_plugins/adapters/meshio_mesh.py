@@ -46,7 +46,7 @@ from odt_plugins.adapters.host import (
     faces_now,
     is_instance,
 )
-from odt_plugins.adapters.lengths import NOT_CELL_INDICES, check_lengths
+from odt_plugins.adapters.lengths import NOT_CELL_INDICES, check_lengths, of_one_shape
 from odt_plugins.adapters.normals import NORMALS, are_normals, renewed
 from odt_plugins.adapters.point_sets import (
     of_corners,
@@ -126,7 +126,7 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
     sizes = [len(block.data) for block in mesh.cells]
     size = [sizes[i] for i in chosen]
     check_lengths(mesh, chosen)
-    arrays = {name: np.concatenate([np.asarray(values[i]) for i in chosen])
+    arrays = {name: np.concatenate(of_one_shape(name, [values[i] for i in chosen]))
               for name, values in mesh.cell_data.items()}
     sets = _memberships(mesh, chosen, size)
     order = 1 if shape is None else int(shape[0, 0])

@@ -7,9 +7,11 @@ import warnings
 import meshio
 import numpy as np
 import pytest
+from contract import grid
 
+from odt_plugins import optimize
 from odt_plugins.adapters.files import read_file, write_file
-from odt_plugins.errors import DataNotKeptWarning, MeshFileError
+from odt_plugins.errors import DataNotKeptWarning, InvalidMeshError, MeshFileError
 
 KINDS = {
     "half": lambda k: np.linspace(0, 1, k).astype(np.float16),
@@ -148,3 +150,31 @@ def test_a_format_that_nothing_reads_is_no_format_of_a_mesh_file(tmp_path):
     with pytest.raises(MeshFileError, match=said) as told:
         write_file(tmp_path / "out.svg", mesh_with("truth"))
     assert " .svg" not in str(told.value)
+
+
+def of_two_shapes(other):
+    points, cells, _ = grid(3, 4, 1)
+    half = len(cells) // 2
+    parts = [np.arange(half, dtype=float), np.arange(half, len(cells)).reshape(-1, 1) * other]
+    return meshio.Mesh(points, [("tetra", cells[:half]), ("tetra", cells[half:]),
+                                ("triangle", np.zeros((0, 3), dtype=int))],
+                       cell_data={"dose": [*parts, np.zeros((0, 2))]})
+
+
+@pytest.mark.parametrize("suffix", [".vtu", ".vtk", ".msh", ".xdmf", ".e"])
+def test_columns_of_one_number_are_as_rows_of_numbers_in_other_blocks(suffix, tmp_path):
+    mesh = of_two_shapes(1.0)
+    write_file(tmp_path / f"a{suffix}", mesh)
+    assert [part.shape[1:] for part in mesh.cell_data["dose"]] == [(), (1,), (2,)]
+    back = meshio.read(tmp_path / f"a{suffix}")
+    found = np.concatenate([np.ravel(part) for part in back.cell_data["dose"]])
+    assert np.array_equal(np.sort(found), np.arange(len(found)))
+    better = optimize(mesh)
+    assert [part.shape[1:] for part in better.cell_data["dose"]] == [(), (1,), (2,)]
+
+
+def test_other_shapes_in_several_blocks_are_refused(tmp_path):
+    mesh = of_two_shapes(np.ones((1, 3)))
+    for call in (optimize, lambda mesh: write_file(tmp_path / "a.vtu", mesh)):
+        with pytest.raises(InvalidMeshError, match=r"'dose' has blocks of shapes .* expected as"):
+            call(mesh)
