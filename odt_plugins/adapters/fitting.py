@@ -124,7 +124,8 @@ XDMF = (1, 2, 3, 6, 9)
 NETGEN = "netgen:index"
 """Labels of cells of Netgen's files, which have the names of materials."""
 
-BARRED = {"dolfin-xml": "/", "h5m": "/", "hmf": "/", "med": "/", "tecplot": '"\n'}
+BARRED = {"dolfin-xml": "/", "h5m": "/", "hmf": "/", "med": "/",
+          **dict.fromkeys(("gmsh", "gmsh22", "tecplot"), '"\r\n')}
 """Letters that names of arrays cannot have in a format, where these are not ends of lines."""
 
 SIMPLICES = ("tetra", "triangle")
@@ -166,7 +167,7 @@ def fitted(mesh: Any, name: str) -> tuple[Any, list[str]]:
     lost = []
     if out.points.dtype not in (np.float32, np.float64):
         out.points = out.points.astype(np.float64)
-    barred = "" if form is EVERYTHING else BARRED.get(name, "\n")
+    barred = "" if form is EVERYTHING else BARRED.get(name, "\r\n")
     out.point_data = {_title(key, barred): array for key, values in out.point_data.items()
                       if (array := _held(values, name, form)) is not None}
     parts = {_title(key, barred): [_held(part, name, form) for part in values]

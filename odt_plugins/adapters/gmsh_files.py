@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from odt_plugins.adapters.formats import gmsh_read
 from odt_plugins.adapters.formats.gmsh_groups import tag_of
 from odt_plugins.adapters.formats.gmsh_tables import BOUNDS, ENTITY, NODE_ENTITY, PHYSICAL
-from odt_plugins.adapters.formats.titles import plain
+from odt_plugins.adapters.formats.titles import plain, written
 
 
 def _inner(name: str) -> Any:
@@ -148,10 +148,12 @@ def _groups(names: Any, groups: Any, sets: Any, dim: int, k: int) -> list[int]:
 def restore_names(path: Path, field_data: Any) -> None:
     """Give groups of a file the names that they have in files, where several may have the same."""
     names = {name: value for name, value in field_data.items() if is_group(value)}
+    known = written(plain(title, names) for title in names)
     data = path.read_bytes()
     head, end, rest = data.partition(b"$EndPhysicalNames")
     for title in names:
-        head = head.replace(f'"{title}"'.encode(), f'"{plain(title, names)}"'.encode())
+        there = known[plain(title, names)]
+        head = head.replace(f'"{title}"'.encode(), f'"{there}"'.encode())
     if data[: len(head)] != head:
         path.write_bytes(head + end + rest)
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.adapters.formats.decks import indices
+from odt_plugins.adapters.formats.titles import CONTROL, written
 from odt_plugins.errors import MeshFileError
 
 ORDER = {"triangle": [0, 1, 2], "quad": [0, 1, 2, 3], "tetra": [0, 1, 2, 3],
@@ -136,7 +137,10 @@ def _part(mesh: Any, points: NDArray[np.float64], word: str, start: int) -> Part
     cells = [(mesh.cells[i].type, _rows(mesh.cells[i], points) + 1) for i in own]
     first = start + 1 + np.cumsum([0, *(len(rows) for _, rows in cells)])
     groups = {}
-    for title, members in mesh.cell_sets.items():
+    titles = written(mesh.cell_sets, CONTROL)
+    titles |= written(title for title in titles if not _parted(title)[0])
+    for key, members in mesh.cell_sets.items():
+        title = titles[key]
         kind, name, slot = _parted(title)
         numbers = np.concatenate([np.zeros(0, dtype=np.int64), *(
             np.sort(indices(members[i])) + at for i, at in zip(own, first, strict=False))])

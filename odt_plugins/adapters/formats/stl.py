@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.adapters.formats.change import Change
+from odt_plugins.adapters.formats.titles import CONTROL, written
 from odt_plugins.errors import MeshFileError
 
 HEADER, RECORD = 80, np.dtype(
@@ -96,7 +97,9 @@ def write(path: Path, mesh: Any, binary: bool | None) -> list[str]:
         return lost
     solid = _parts(mesh, chosen, len(cells))
     with path.open("wb") as file:
-        for name, rows in solid.items():
+        titles = written(solid, CONTROL)
+        for key, rows in solid.items():
+            name = titles[key]
             file.write(b"solid %s\n" % name.encode())
             for row in rows.tolist():
                 words = [[repr(x).encode() for x in v] for v in corners[row].tolist()]

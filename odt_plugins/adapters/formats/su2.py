@@ -20,7 +20,7 @@ from odt_plugins.adapters.formats.decks import (
     real,
     rows_of,
 )
-from odt_plugins.adapters.formats.titles import decoded
+from odt_plugins.adapters.formats.titles import CONTROL, decoded, written
 from odt_plugins.errors import MeshFileError, UnsupportedMeshError
 
 TYPES = {1: ("vertex", 1), 3: ("line", 2), 5: ("triangle", 3), 9: ("quad", 4), 10: ("tetra", 4),
@@ -121,9 +121,10 @@ def write(path: Path, mesh: Any, binary: bool | None) -> list[str]:
     mesh = _as_written(mesh)
     meshio.write(path, mesh, file_format="su2")
     dim = mesh.points.shape[1]
-    titles = {title: int(value[0]) for name, value in mesh.field_data.items() if value[1] == dim - 1
-              and (title := "_".join(name.replace("%", " ").split()))}
-    names = {number: title for title, number in titles.items()}
+    given = {name: int(value[0]) for name, value in mesh.field_data.items()
+             if value[1] == dim - 1 and name.replace("%", " ").strip()}
+    titles = written(given, f"[%\\s]+|{CONTROL}")
+    names = {number: titles[name] for name, number in given.items()}
     data = path.read_text(encoding="utf-8")
     data = re.sub(r"(?m)^(MARKER_TAG= )(-?\d+)$",
                   lambda tag: tag[1] + names.get(int(tag[2]), tag[2]), data)

@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping
+from itertools import chain, count
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+CONTROL = r"[\x00-\x1f\x7f\x85\u2028\u2029]"
+"""A letter that ends a line or is none."""
+
+BARRED = r'["\x00-\x1f\x7f\x85\u2028\u2029]'
+"""A letter that ends a line or a name in quotes, or is none."""
 
 
 def titled(groups: Iterable[tuple[str, int, int]]) -> dict[str, NDArray[np.int64]]:
@@ -35,6 +43,24 @@ def plain(title: str, names: Mapping[str, Any]) -> str:
         if title.endswith(behind) and name in names:
             return name
     return title
+
+
+def written(names: Iterable[str], barred: str = BARRED) -> dict[str, str]:
+    """What names are in a file: `_` in place of barred letters, with a number where one has that.
+
+    Parameters
+    ----------
+    names : str
+    barred : str     a pattern of the letters
+    """
+    given = dict.fromkeys(names)
+    out: dict[str, str] = {}
+    for name in given:
+        one = re.sub(barred, "_", name)
+        titles = (one + end for end in chain([""], (f"_{k}" for k in count(2))))
+        out[name] = next(title for title in titles if title == name or (
+            title not in given and title not in out.values()))
+    return out
 
 
 def decoded(text: bytes) -> str:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from odt_plugins.adapters.formats.change import Change, NotRewritable
 from odt_plugins.adapters.formats.decks import HELD, Edit, edited, unread
-from odt_plugins.adapters.formats.titles import plain, titled
+from odt_plugins.adapters.formats.titles import CONTROL, plain, titled, written
 from odt_plugins.adapters.formats.vol_tables import (
     SURFACE,
     VOLUME,
@@ -116,19 +116,20 @@ def names(data: bytes) -> dict[str, NDArray[np.int64]]:
 
 
 def write(path: Path, mesh: Any, binary: bool | None) -> list[str]:
-    """Write a mesh by meshio, with the names that it has, and the domains beside triangles."""
+    """Write a mesh by meshio, and the names that it has, and the domains beside triangles."""
     import meshio
 
     cells: Any = [("line", block.data[:, :2]) if block.type in LINES else block
                   for block in mesh.cells]
-    meshio.write(path, meshio.Mesh(mesh.points, cells, cell_data=mesh.cell_data,
-                                   field_data=mesh.field_data), file_format="netgen")
+    meshio.write(path, meshio.Mesh(mesh.points, cells, cell_data=mesh.cell_data),
+                 file_format="netgen")
     data, end, rest = content(path).rpartition(b"endmesh")
     for name in NAMES:
         data = re.sub(rb"\n" + name + rb"\n\d+\n(?:\d+[^\n]*\n)*", b"", data)
     dim = mesh.points.shape[1]
+    known = written((plain(title, mesh.field_data) for title in mesh.field_data), CONTROL)
     for behind, name in enumerate(NAMES):
-        own = {int(value[0]): plain(title, mesh.field_data)
+        own = {int(value[0]): known[plain(title, mesh.field_data)]
                for title, value in mesh.field_data.items() if value[1] == dim - behind}
         lines = [f"{k} {own.get(k, UNNAMED)}\n" for k in range(1, max(own, default=0) + 1)]
         if lines:
