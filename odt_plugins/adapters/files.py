@@ -42,6 +42,7 @@ from odt_plugins.adapters.lengths import alike
 from odt_plugins.adapters.recolouring import recoloured
 from odt_plugins.adapters.set_labels import as_sets
 from odt_plugins.adapters.stated import declares_no_cells, meaning_of
+from odt_plugins.adapters.symbolic import behind, name_behind, with_companions
 from odt_plugins.errors import (
     DataNotKeptWarning,
     InvalidMeshError,
@@ -119,7 +120,7 @@ def read_file(path: str | os.PathLike[str]) -> Any:
     number of an element, is a valid file of fewer elements, unless a node is gone that an
     element refers to. An .su2 file cut off right before NMARK is one without markers.
     """
-    path = Path(path)
+    path = with_companions(Path(path))
     formats = _formats(path)
     if not path.is_file():
         kind = "a directory" if path.is_dir() else "missing"
@@ -184,7 +185,7 @@ def check_output(
     """
     path = Path(path)
     chosen_format(path, None, file_format, binary)
-    folder = path.parent
+    folder = behind(path).parent
     if not folder.is_dir():
         msg = f"cannot write {path}: {folder} is not a directory; expected an existing one"
         raise MeshFileError(msg)
@@ -203,7 +204,8 @@ def write_file(
     A mesh that was read from a file of the same format is written into a copy of that file, whose
     other parts stay as they are; files of formats that have no such rewriter are written anew.
     Either way this is done in a directory beside the target, read back and compared, and renamed
-    only then: whatever happens, the target is either as it was before or complete.
+    only then: whatever happens, the target is either as it was before or complete. A link stays,
+    and the file behind it is written.
 
     Parameters
     ----------
@@ -233,25 +235,27 @@ def write_file(
     source = _source(path, mesh) if file_format is None and binary is None else None
     name, binary = chosen_format(path, mesh, file_format, binary)
     with writing(path, "another directory"):
-        beside = Path(tempfile.mkdtemp(prefix=f".{path.stem}-", dir=path.parent))
+        real = behind(path)
+        beside = Path(tempfile.mkdtemp(prefix=f".{path.stem}-", dir=real.parent))
+        made = beside / name_behind(path)
     try:
         with writing(path, "another path"):
-            lost, remarks = _rewritten(beside / path.name, mesh, source)
+            lost, remarks = _rewritten(made, mesh, source)
             if trimesh_scene.matches(mesh):
-                lost = scene_files.write(beside / path.name, mesh)
+                lost = scene_files.write(made, mesh)
             elif lost is None:
                 labelled, renamed = as_sets(mesh, name)
                 lost, more = _write_and_compare(
-                    beside / path.name, recoloured(labelled, name), name, binary)
+                    made, recoloured(labelled, name), name, binary)
                 lost += renamed
                 remarks += more
                 lost += mesh.info.get(UNREAD, []) if isinstance(mesh.info, dict) else []
             for suffix in COMPANIONS.get(name, ()):
-                if not (beside / path.name).with_suffix(suffix).exists():
-                    path.with_suffix(suffix).unlink(missing_ok=True)
+                if not made.with_suffix(suffix).exists():
+                    (real.parent / made.name).with_suffix(suffix).unlink(missing_ok=True)
             # Formats such as xdmf write companions; the file that refers to them comes last.
-            for part in sorted(beside.iterdir(), key=lambda part: part.name == path.name):
-                os.replace(part, path.parent / part.name)
+            for part in sorted(beside.iterdir(), key=lambda part: part == made):
+                os.replace(part, real if part == made else real.parent / part.name)
     finally:
         shutil.rmtree(beside, ignore_errors=True)
     if lost:

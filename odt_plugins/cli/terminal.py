@@ -108,7 +108,7 @@ def check_paths(
     for path in (report_file, plot_file):
         if path is None:
             continue
-        folder = path.absolute().parent
+        folder = Path(os.path.realpath(path)).parent
         if path.is_dir() or not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
             what = "it is a directory" if path.is_dir() else f"{folder} is no writable directory"
             msg = f"cannot write {path}: {what}; try another path"
@@ -125,12 +125,12 @@ def check_folder(folder: Path, flag: str) -> None:
 
 
 def write_beside(path: Path, write: Callable[[Path], Any]) -> None:
-    """Write a file in a directory beside its place and rename it when it is complete."""
+    """Write a file, behind a link too, in a directory beside its place and rename it then."""
     try:
-        with tempfile.TemporaryDirectory(prefix=f".{path.stem}-",
-                                         dir=path.absolute().parent) as folder:
+        real = Path(os.path.realpath(path))
+        with tempfile.TemporaryDirectory(prefix=f".{path.stem}-", dir=real.parent) as folder:
             write(Path(folder) / path.name)
-            os.replace(Path(folder) / path.name, path)
+            os.replace(Path(folder) / path.name, real)
     except OSError as exc:
         # An error of our own names the file in that directory, its cause says the reason alone.
         cause = exc.__cause__ if isinstance(exc, MeshFileError) and exc.__cause__ else exc

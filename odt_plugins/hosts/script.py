@@ -140,17 +140,17 @@ def run_script_on_files(
 
 
 def _save(meshes: Any, target: Path) -> None:
-    """Write the current mesh beside its place and rename it when it is complete."""
+    """Write the current mesh beside its place, behind a link too, and rename it when complete."""
     from pymeshlab import PyMeshLabException
 
     try:
-        with tempfile.TemporaryDirectory(
-            prefix=f".{target.stem}-", dir=target.absolute().parent
-        ) as folder:
+        real = Path(os.path.realpath(target))
+        with tempfile.TemporaryDirectory(prefix=f".{target.stem}-", dir=real.parent) as folder:
             meshes.save_current_mesh(str(Path(folder) / target.name))
             # A texture or a material file is written beside the mesh, which refers to it.
             for part in sorted(Path(folder).iterdir(), key=lambda part: part.name == target.name):
-                os.replace(part, target.parent / part.name)
+                own = part.name == target.name
+                os.replace(part, real if own else real.parent / part.name)
     except (PyMeshLabException, OSError) as exc:
         msg = f"cannot write {target}: {' '.join(str(exc).split())}; try another path or format"
         raise MeshFileError(msg) from exc
