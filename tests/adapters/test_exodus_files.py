@@ -347,3 +347,27 @@ def test_files_written_anew_are_read_by_meshio(tmp_path):
     assert [(block.type, block.data.tolist()) for block in back.cells] == [
         (kind, rows.tolist()) for kind, rows in cells]
     assert np.array_equal(back.point_data["x"].ravel(), points[:, 0])
+
+
+def test_sets_that_overlap_are_whole(tmp_path):
+    """A cell is in one block: a set of which other blocks have a part is one of elements."""
+    points, cells, _, _ = box(3)
+    m = len(cells)
+    sides = np.sort(cells[:, :3], axis=1)[:4]
+    sets = {"left": np.arange(m // 2), "mid": np.arange(m // 3, m), "all": np.arange(m),
+            "both": np.arange(m // 4)}
+    mesh = meshio.Mesh(points, [("tetra", cells), ("triangle", sides)], cell_sets={
+        name: [rows, np.arange(4 if name == "both" else 0)] for name, rows in sets.items()})
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", DataNotKeptWarning)
+        write_file(tmp_path / "a.e", mesh)
+    back = read_file(tmp_path / "a.e")
+    places = points[cells].mean(axis=1)
+    for name, rows in sets.items():
+        found = np.concatenate([back.points[block.data[part]].mean(axis=1) for block, part in zip(
+            back.cells, back.cell_sets[name], strict=True) if block.type == "tetra"])
+        assert np.array_equal(np.unique(found, axis=0), np.unique(places[rows], axis=0))
+    with netCDF4.Dataset(tmp_path / "a.e") as f:
+        blocks = len(f.dimensions["num_el_blk"])
+        assert sum(len(f.dimensions[f"num_el_in_blk{k + 1}"]) for k in range(blocks)) == m
+        assert len(f.dimensions["num_elem_sets"]) > 0

@@ -179,21 +179,37 @@ def _ids(labels: list[int]) -> list[int]:
     return out
 
 
-def _name(mesh: Any, parts: list[_Part]) -> str:
-    """Name of the first set that is these cells, else of the first that contains them; else ""."""
-    whole = []
-    for name in mesh.cell_sets:
-        own = [indices(mesh.cell_sets[name][i]) for i in range(len(mesh.cells))]
-        if all(np.isin(part.rows, own[part.block]).all() for part in parts):
-            if sum(map(len, own)) == sum(len(part.rows) for part in parts):
-                return str(name)
-            whole.append(str(name))
-    return whole[0] if whole else ""
+def _names(mesh: Any, groups: list[list[_Part]], *, whole: bool) -> list[str]:
+    """Name of each group of cells: of a set that is it, or that it and others make up; else "".
+
+    Parameters
+    ----------
+    mesh : meshio.Mesh
+    groups : list of list of _Part
+    whole : bool                      or also of one that these are a part of
+    """
+    found = {}
+    blocks = {part.block for parts in groups for part in parts}
+    for name, members in mesh.cell_sets.items():
+        own = [indices(rows if i in blocks else []) for i, rows in enumerate(members)]
+        inside = [k for k, parts in enumerate(groups)
+                  if all(np.isin(part.rows, own[part.block]).all() for part in parts)]
+        count = sum(len(part.rows) for k in inside for part in groups[k])
+        found[str(name)] = inside, sum(map(len, own)) == count
+    out = [""] * len(groups)
+    for name in sorted(found, key=lambda name: (not found[name][1], len(found[name][0]))):
+        inside, same = found[name]
+        if same and not any(out[k] for k in inside):
+            out = [name if k in inside else old for k, old in enumerate(out)]
+    for name, (inside, _) in found.items() if not whole else ():
+        out = [old or (name if k in inside else "") for k, old in enumerate(out)]
+    return out
 
 
 def _blocks(file: Any, mesh: Any, parts: list[_Part]) -> set[str]:
-    """Write blocks of elements; the names that they got."""
-    ids, names = _ids([part.label for part in parts]), [_name(mesh, [part]) for part in parts]
+    """Write blocks of elements; the names that they got, of sets that they make up."""
+    ids = _ids([part.label for part in parts])
+    names = _names(mesh, [[part] for part in parts], whole=True)
     _put(file, "eb_status", ("num_el_blk",), np.ones(len(parts), dtype=np.int32))
     _put(file, "eb_prop1", ("num_el_blk",), ids).setncattr("name", "ID")
     _strings(file, "eb_names", "num_el_blk", names)
@@ -223,7 +239,7 @@ def _side_sets(
     if not sets:
         return set()
     file.createDimension("num_side_sets", len(sets))
-    names = [_name(mesh, parts) for parts in sets.values()]
+    names = _names(mesh, [*sets.values()], whole=False)
     _put(file, "ss_status", ("num_side_sets",), np.ones(len(sets), dtype=np.int32))
     _put(file, "ss_prop1", ("num_side_sets",), _ids([*sets])).setncattr("name", "ID")
     _strings(file, "ss_names", "num_side_sets", names)
