@@ -16,8 +16,8 @@ from odt_plugins.adapters.regions import REGION_ARRAYS, are_whole, is_known
 SIDES = "exodus:side_set"
 """Labels of cells at a boundary beside those of blocks, which are 0 there."""
 
-SETS = ("abaqus", "cgns", "flac3d")
-"""Formats that hold sets of cells, and no numbers of theirs."""
+SETS, MED = ("abaqus", "cgns", "flac3d"), "med"
+"""Formats that hold sets of cells, and no numbers of theirs; one of these with real numbers."""
 
 GROUPS = ("gmsh:physical", "netgen:index")
 """Labels that have names, of groups."""
@@ -100,7 +100,8 @@ def of_sets(
 def as_sets(mesh: Any, name: str) -> tuple[Any, list[str]]:
     """A mesh with sets of its labels, such as Volume7, for a format that holds sets alone.
 
-    Cells of a dimension with sets have those. Groups with a name are sets already.
+    Arrays of 0 and 1, as sets are in formats without them, are sets again. Cells of a dimension
+    with sets have those. Groups with a name are sets already.
 
     Parameters
     ----------
@@ -110,16 +111,17 @@ def as_sets(mesh: Any, name: str) -> tuple[Any, list[str]]:
     Returns
     -------
     mesh : meshio.Mesh
-    renamed : list of str    the labels that are sets, all of them
+    renamed : list of str    the labels that are sets, all of them, and the arrays
     """
+    mesh, became = with_masks(mesh, name)
     if name not in SETS:
-        return mesh, []
+        return mesh, became
     found = {key: numbers for key, values in mesh.cell_data.items()
              if (numbers := numbers_of(key, values)) and are_few(numbers)}
     others = sorted(filter(is_known, found), key=lambda key: are_one(found[key]))
     label = next((key for key in (*LABELS, *others) if key in found), None)
     if label is None:
-        return mesh, []
+        return mesh, became
     groups = {(int(value[1]), int(value[0])) for value in mesh.field_data.values()
               if np.shape(value) == (2,)} if label in GROUPS else set()
     parts = [np.asarray(part) for part in found[label]]
@@ -147,10 +149,54 @@ def as_sets(mesh: Any, name: str) -> tuple[Any, list[str]]:
     out = mesh.copy()
     out.cell_sets = sets | out.cell_sets
     if groups or not sets or not whole:
-        return out if sets else mesh, []
+        return out if sets else mesh, became
     own_names = (label, "gmsh:geometrical") if physical else (label,)
     out.cell_data = {key: values for key, values in out.cell_data.items() if key not in own_names}
-    return out, [f"the name of cell data {label!r} (sets there)"]
+    return out, [*became, f"the name of cell data {label!r} (sets there)"]
+
+
+def with_masks(mesh: Any, name: str) -> tuple[Any, list[str]]:
+    """A mesh whose arrays of 0 and 1 are sets, for a format that has these and drops such arrays.
+
+    Arrays of cells that tell labels by their names, and those of VTK's own, stay arrays.
+
+    Parameters
+    ----------
+    mesh : meshio.Mesh    not changed
+    name : str            of the format
+
+    Returns
+    -------
+    mesh : meshio.Mesh
+    renamed : list of str    the arrays that are sets
+    """
+    cells = {key: [indices(np.asarray(part).ravel().astype(np.bool_)) for part in values]
+             for key, values in mesh.cell_data.items()
+             if name in (*SETS, MED) and not (key in LABELS or is_known(key)) and _are_mask(
+                 key, values) and key not in mesh.cell_sets}
+    points = {key: indices(np.asarray(values).ravel().astype(np.bool_))
+              for key, values in mesh.point_data.items()
+              if name in (SETS[0], MED) and _are_mask(key, [values]) and key not in mesh.point_sets}
+    if not cells and not points:
+        return mesh, []
+    out = mesh.copy()
+    for kind, sets in (("cell", cells), ("point", points)):
+        arrays = getattr(out, f"{kind}_data")
+        setattr(out, f"{kind}_data", {key: arrays[key] for key in arrays if key not in sets})
+        setattr(out, f"{kind}_sets", getattr(out, f"{kind}_sets") | sets)
+    return out, [f"{kind} data {', '.join(map(repr, sets))} (sets there)"
+                 for kind, sets in (("point", points), ("cell", cells)) if sets]
+
+
+def _are_mask(name: str, values: list[Any]) -> bool:
+    """Whether an array is of 0 and 1, in bytes if it is 1 alone, and not one of VTK's own."""
+    parts = [np.asarray(part) for part in values]
+    if name.startswith("vtk") or any(
+            part.dtype.kind not in "biu" or part.size != len(part) for part in parts):
+        return False
+    there = {int(number) for part in parts for number in np.unique(part)}
+    return 1 in there and there <= {0, 1} and (
+        0 in there or all(part.dtype.itemsize == 1 for part in parts))
 
 
 def _free(name: str, mesh: Any) -> str:

@@ -341,3 +341,38 @@ def test_ids_of_sides_of_exodus_have_32_bits(tmp_path):
     assert sides.min() >= 0
     assert sorted(np.bincount(np.unique(sides, return_inverse=True)[1])[1:]) == sorted(
         [inlet.sum(), (~inlet).sum()])
+
+
+@pytest.mark.parametrize("middle", [".vtu", ".vtk", ".xdmf"])
+@pytest.mark.parametrize("suffix", [".inp", ".cgns", ".f3grid", ".med"])
+def test_sets_that_were_arrays_of_0_and_1_are_sets_again(suffix, middle, tmp_path):
+    mesh, left, inlet = two_bodies()
+    mesh.point_sets = {"low": np.flatnonzero(mesh.points[:, 1] == 0)}
+    with warnings.catch_warnings(record=True) as heard:
+        warnings.simplefilter("always")
+        write_file(tmp_path / f"a{middle}", mesh)
+        between = read_file(tmp_path / f"a{middle}")
+        between.cell_data["material"] = [np.where(left, 1, 0), np.where(inlet, 0, 0)]
+        between.cell_data["vtkGhostType"] = [part.astype(np.uint8) for part in
+                                             between.cell_data["material"]]
+        write_file(tmp_path / f"b{suffix}", between)
+    assert {*mesh.cell_sets} <= set(between.cell_data)
+    assert "cell data 'oil', 'steel', 'inlet', 'wall' (sets there)" in str(heard[-1].message)
+    back = read_file(tmp_path / f"b{suffix}")
+    found = {name: sum(len(np.asarray(part)) for part in rows)
+             for name, rows in back.cell_sets.items()}
+    assert found == {name: sum(map(len, rows)) for name, rows in mesh.cell_sets.items()}
+    if suffix in (".inp", ".med"):
+        assert len(back.point_sets["low"]) == len(mesh.point_sets["low"])
+
+
+@pytest.mark.parametrize("values", [[[0, 1, 2], [1]], [[0, 0, 0], [0]], [[1, 1, 1], [1]],
+                                    [[0.0, 1.0, 0.0], [0.0]]])
+def test_other_arrays_are_no_sets(values, tmp_path):
+    points = np.random.default_rng(0).random((6, 3))
+    mesh = meshio.Mesh(points, [("tetra", np.array([[0, 1, 2, 3], [1, 2, 3, 4], [2, 3, 4, 5]])),
+                                ("triangle", np.array([[0, 1, 2]]))],
+                       cell_data={"count": [np.array(part) for part in values]})
+    with pytest.warns(match="does not keep cell data 'count'"):
+        write_file(tmp_path / "a.inp", mesh)
+    assert not read_file(tmp_path / "a.inp").cell_sets
