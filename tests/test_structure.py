@@ -85,7 +85,7 @@ TOOLKITS = {
     "meshio": {"adapters/meshio_mesh.py", "adapters/files.py", "adapters/reading.py",
                "adapters/vtk_files.py", "adapters/fitting.py", "adapters/gmsh_files.py",
                "adapters/netgen_files.py", "adapters/formats/abaqus.py",
-               "adapters/formats/exodus.py",
+               "adapters/formats/avsucd.py", "adapters/formats/exodus.py",
                "adapters/formats/gmsh_groups.py", "adapters/formats/gmsh_read.py",
                "adapters/formats/med.py", "adapters/formats/medit.py",
                "adapters/formats/nastran.py", "adapters/formats/obj.py", "adapters/formats/ply.py",

@@ -70,7 +70,7 @@ EVERYTHING = Form(sets=True, text=True, kinds="biufUS")
 FORMS = {
     "abaqus": Form(points=False, cells=False, blocks=True, sets=True, vertices=False,
                    bent=False),
-    "avsucd": Form("avsucd:material", cells=False),
+    "avsucd": Form("avsucd:material"),
     "cgns": Form(points=False, cells=False, sets=True),
     "dolfin-xml": Form(points=False, beside=False, kinds="iuf", vectors=False),
     "exodus": Form("exodus:block", blocks=True, sets=True),
@@ -107,7 +107,7 @@ NOT_XML = re.compile("[^\t\n\r -\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 TAGS = tuple(form.label for form in FORMS.values() if form.label)
 """Labels of cells of all formats, which are also physical groups in Gmsh's."""
 
-LABELLED = ("exodus", "med")
+LABELLED = ("avsucd", "exodus", "med")
 """Formats with a label of cells that hold other arrays of cells beside it."""
 
 ARRAYS = ("dolfin-xml", "tecplot", "xdmf")
@@ -124,7 +124,7 @@ XDMF = (1, 2, 3, 6, 9)
 NETGEN = "netgen:index"
 """Labels of cells of Netgen's files, which have the names of materials."""
 
-BARRED = {"dolfin-xml": "/", "h5m": "/", "hmf": "/", "med": "/",
+BARRED = {"avsucd": ",\r\n", "dolfin-xml": "/", "h5m": "/", "hmf": "/", "med": "/",
           **dict.fromkeys(("gmsh", "gmsh22", "tecplot"), '"\r\n')}
 """Letters that names of arrays cannot have in a format, where these are not ends of lines."""
 

@@ -37,7 +37,7 @@ READ_ON = ("ansys",)
 PATIENCE = 1000
 """How often a reader may come to the end of a file."""
 
-TEXT = ("avsucd", "flac3d", "netgen", "permas")
+TEXT = ("flac3d", "netgen", "permas")
 """Formats of text that meshio reads."""
 
 FORTRAN = rb"(?<![\w.])([+-]?(?:\d+\.\d*|\.\d+))[dD]([+-]?\d+)(?!\w)"

@@ -8,6 +8,7 @@ Sources
 -------
 Abaqus: Analysis User's Guide, Input syntax rules, Dassault Systemes; G. Dhondt, CalculiX
 CrunchiX User's Manual.
+AVS: Advanced Visual Systems, AVS user's guide, unstructured cell data (UCD).
 CGNS: Standard Interface Data Structures, version 4, and its mapping to HDF5, cgns.org.
 Fluent: ANSYS Fluent user's guide, appendix on mesh files.
 DOLFIN: A. Logg, K.-A. Mardal, G. Wells, Automated Solution of Differential Equations by the Finite
@@ -38,6 +39,7 @@ from odt_plugins.adapters.formats import (
     abaqus,
     abaqus_copy,
     abaqus_write,
+    avsucd,
     cgns_write,
     dolfin,
     exodus,
@@ -71,7 +73,8 @@ from odt_plugins.adapters.formats import (
 from odt_plugins.adapters.formats.change import Change
 
 READERS: dict[str, Callable[[Path], Any]] = {
-    "abaqus": abaqus.read, "cgns": hdf.cgns, "dolfin-xml": dolfin.read, "exodus": exodus.read,
+    "abaqus": abaqus.read, "avsucd": avsucd.read, "cgns": hdf.cgns,
+    "dolfin-xml": dolfin.read, "exodus": exodus.read,
     "gmsh": gmsh_read.read, "h5m": hdf.h5m, "mdpa": mdpa.read, "med": med.read,
     "medit": medit.read,
     "nastran": nastran.read, "obj": obj.read, "off": off.read, "ply": ply.read, "stl": stl.read,
@@ -96,7 +99,8 @@ REWRITERS: dict[str, Callable[[Path, Path, Change], list[str]]] = {
 """Rewriters by the name of the format in meshio: source, target and change, to what is lost."""
 
 WRITERS: dict[str, Callable[[Path, Any, bool | None], list[str]]] = {
-    "abaqus": abaqus_write.write, "cgns": cgns_write.write, "exodus": exodus_write.write,
+    "abaqus": abaqus_write.write, "avsucd": avsucd.write, "cgns": cgns_write.write,
+    "exodus": exodus_write.write,
     "flac3d": flac3d.write, "med": med.write, "medit": medit.write, "nastran": nastran_write.write,
     "netgen": vol.write, "obj": obj.write, "off": off.write, "ply": ply.write,
     "stl": stl.write, "su2": su2.write, "tetgen": tetgen.write, "ugrid": ugrid.write,

@@ -1,0 +1,135 @@
+"""AVS's unstructured cell data, .avs: also arrays of cells of several types, as text."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from odt_plugins.adapters.formats.decks import numbers, refuse_types
+from odt_plugins.adapters.formats.titles import decoded
+from odt_plugins.errors import MeshFileError
+
+LABEL = "avsucd:material"
+"""Array of the materials of cells."""
+
+TYPES = {
+    "pt": ("vertex", [0]), "line": ("line", [0, 1]), "tri": ("triangle", [0, 1, 2]),
+    "quad": ("quad", [0, 1, 2, 3]), "tet": ("tetra", [0, 1, 3, 2]),
+    "pyr": ("pyramid", [1, 2, 3, 4, 0]), "prism": ("wedge", [3, 4, 5, 0, 1, 2]),
+    "hex": ("hexahedron", [4, 5, 6, 7, 0, 1, 2, 3]),
+}
+"""Types of cells by the words of files, and where each of their nodes stands in a row."""
+
+
+class _Lines:
+    """Lines of a file that are not empty, behind the remarks at its start."""
+
+    def __init__(self, data: bytes) -> None:
+        self.lines = [line for line in data.splitlines() if line.strip()]
+        self.at = 0
+        while self.lines[self.at: self.at + 1] and self.lines[self.at].lstrip().startswith(b"#"):
+            self.at += 1
+
+    def take(self, count: int, what: str) -> list[bytes]:
+        """The next lines."""
+        found = self.lines[self.at: self.at + count]
+        if len(found) < count:
+            msg = f"it declares {count} lines of {what} and holds {len(found)}"
+            raise MeshFileError(msg)
+        self.at += count
+        return found
+
+    def words(self, count: int, what: str, width: int) -> list[list[bytes]]:
+        """The words of the next lines, so many at least in each."""
+        found = [line.split() for line in self.take(count, what)]
+        if any(len(row) < width for row in found):
+            msg = f"a line of {what} ends before its {width} words"
+            raise MeshFileError(msg)
+        return found
+
+
+def read(path: Path) -> Any:
+    """Read points, cells with their materials, and arrays of both.
+
+    Returns
+    -------
+    meshio.Mesh      a block a type of cells
+
+    Raises
+    ------
+    MeshFileError    it ends too early, or has cells of an unknown type
+    """
+    from meshio import Mesh
+
+    lines = _Lines(path.read_bytes())
+    n, m, of_points, of_cells = map(int, lines.words(1, "its head", 4)[0][:4])
+    rows = lines.words(n, "nodes", 4)
+    node = {int(row[0]): i for i, row in enumerate(rows)}
+    points = np.array([numbers(row[1:4]) for row in rows]).reshape(-1, 3)
+    cells: dict[str, list[list[int]]] = {}
+    where: dict[str, list[int]] = {}
+    materials, cell = np.zeros(m, dtype=np.int64), {}
+    for i, (number, material, word, *own) in enumerate(lines.words(m, "cells", 3)):
+        kind, order = TYPES.get(word.decode("latin-1").lower(), ("", []))
+        if not kind or len(own) < len(order):
+            msg = f"it has a cell of type {word.decode('latin-1')} with {len(own)} nodes"
+            raise MeshFileError(msg)
+        cells.setdefault(kind, []).append([node[int(own[k])] for k in order])
+        where.setdefault(kind, []).append(i)
+        cell[int(number)], materials[i] = i, int(material)
+    point_data = _arrays(lines, node, "values of nodes") if of_points else {}
+    cell_data = {LABEL: materials}
+    cell_data |= _arrays(lines, cell, "values of cells") if of_cells else {}
+    return Mesh(points, [(kind, np.array(own)) for kind, own in cells.items()], point_data, {
+        name: [values[own] for own in where.values()] for name, values in cell_data.items()})
+
+
+def write(path: Path, mesh: Any, binary: bool | None) -> list[str]:
+    """Write points, cells with their materials, which are 0 without any, and arrays of both.
+
+    Raises
+    ------
+    UnsupportedMeshError    there are cells of a type that the format does not know
+    """
+    del binary
+    words = {kind: (word, np.argsort(order)) for word, (kind, order) in TYPES.items()}
+    refuse_types({block.type for block in mesh.cells if len(block.data)} - words.keys())
+    points = np.zeros((len(mesh.points), 3))
+    points[:, : np.shape(mesh.points)[1]] = mesh.points
+    labels = mesh.cell_data.get(LABEL, [np.zeros(len(b.data), dtype=np.int64) for b in mesh.cells])
+    arrays = {name: np.concatenate(parts) for name, parts in mesh.cell_data.items()
+              if name != LABEL}
+    cells = [f"{material} {words[block.type][0]} {' '.join(map(str, row))}"
+             for block, own in zip(mesh.cells, labels, strict=True) if len(block.data)
+             for material, row in zip(np.asarray(own).tolist(), (np.asarray(block.data)[
+                 :, words[block.type][1]].astype(np.int64) + 1).tolist(), strict=True)]
+    widths = [sum(np.size(values) // max(len(values), 1) for values in own.values())
+              for own in (mesh.point_data, arrays)]
+    lines = [f"{len(points)} {len(cells)} {widths[0]} {widths[1]} 0"]
+    lines += [f"{i} {' '.join(map(repr, place))}" for i, place in enumerate(points.tolist(), 1)]
+    lines += [f"{i} {cell}" for i, cell in enumerate(cells, 1)]
+    for own in (mesh.point_data, arrays):
+        table = [np.asarray(values, dtype=np.float64).reshape(len(values), -1)
+                 for values in own.values()]
+        if table:
+            lines.append(" ".join(map(str, [len(table), *(part.shape[1] for part in table)])))
+            lines += [f"{name}, real" for name in own]
+            lines += [f"{i} {' '.join(map(repr, row))}"
+                      for i, row in enumerate(np.concatenate(table, axis=1).tolist(), 1)]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return []
+
+
+def _arrays(lines: _Lines, place: dict[int, int], what: str) -> dict[str, Any]:
+    """Arrays by their names; `place` has the place of each number."""
+    widths = [int(word) for word in lines.words(1, what, 1)[0][1:]]
+    names = [decoded(line).rpartition(",")[0].strip() or decoded(line).strip()
+             for line in lines.take(len(widths), what)]
+    table = np.zeros((len(place), sum(widths)))
+    for row in lines.words(len(place), what, sum(widths) + 1):
+        table[place[int(row[0])]] = numbers(row[1: sum(widths) + 1])
+    ends = np.cumsum([0, *widths])
+    return {name: table[:, end] if width == 1 else table[:, end: end + width]
+            for name, width, end in zip(names, widths, ends.tolist(), strict=False)}
