@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import chain, count
+from itertools import chain, compress, count
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from odt_plugins.adapters.formats.decks import indices
 from odt_plugins.adapters.formats.gmsh_tables import BOOKKEEPING
 from odt_plugins.adapters.gmsh_files import same_names
+from odt_plugins.adapters.host import POINT_LABELS, classes_of
 from odt_plugins.adapters.regions import REGION_ARRAYS, are_whole, is_known
 
 SIDES = "exodus:side_set"
@@ -18,6 +19,9 @@ SIDES = "exodus:side_set"
 
 SETS, MED = ("abaqus", "cgns", "flac3d"), "med"
 """Formats that hold sets of cells, and no numbers of theirs; one of these with real numbers."""
+
+PARTED = "cgns"
+"""One of these whose sets have no cells in common."""
 
 GROUPS = ("gmsh:physical", "netgen:index")
 """Labels that have names, of groups."""
@@ -97,23 +101,26 @@ def of_sets(
     return out if found else None
 
 
-def as_sets(mesh: Any, name: str) -> tuple[Any, list[str]]:
+def as_sets(mesh: Any, name: str, *, masks: bool = True) -> tuple[Any, list[str]]:
     """A mesh with sets of its labels, such as Volume7, for a format that holds sets alone.
 
     Arrays of 0 and 1, as sets are in formats without them, are sets again. Cells of a dimension
-    with sets have those. Groups with a name are sets already.
+    with sets have those, or with arrays that tell the labels. Groups with a name are sets already.
 
     Parameters
     ----------
     mesh : meshio.Mesh    not changed
     name : str            of the format
+    masks : bool          whether arrays of 0 and 1 are sets
 
     Returns
     -------
     mesh : meshio.Mesh
     renamed : list of str    the labels that are sets, all of them, and the arrays
     """
-    mesh, became = with_masks(mesh, name)
+    titles = mesh.cell_sets.keys() - {*BOOKKEEPING}
+    before = mesh
+    mesh, became = with_masks(mesh, name) if masks else (mesh, [])
     if name not in SETS:
         return mesh, became
     found = {key: numbers for key, values in mesh.cell_data.items()
@@ -126,26 +133,30 @@ def as_sets(mesh: Any, name: str) -> tuple[Any, list[str]]:
               if np.shape(value) == (2,)} if label in GROUPS else set()
     parts = [np.asarray(part) for part in found[label]]
     physical = label == GROUPS[0]
-    given = [[mask_of(rows, len(part)) for rows, part in zip(members, parts, strict=True)]
-             for title, members in mesh.cell_sets.items() if title not in BOOKKEEPING]
+    given = {title: [mask_of(rows, len(part)) for rows, part in zip(members, parts, strict=True)]
+             for title, members in mesh.cell_sets.items() if title not in BOOKKEEPING}
     sets: dict[str, list[NDArray[np.int64]]] = {}
     whole = True
     for dim in {block.dim for block in mesh.cells}:
         own = [block.dim == dim for block in mesh.cells]
-        there = np.unique(np.concatenate([p for p, inside in zip(parts, own, strict=True)
-                                          if inside]))
-        known = [masks for masks in given
-                 if any(part.any() for part, inside in zip(masks, own, strict=True) if inside)]
+        here = np.concatenate([*compress(parts, own)])
+        there = np.unique(here)
+        inner = {title: joined for title, inside in given.items()
+                 if (joined := np.concatenate([*compress(inside, own)])).any()}
+        known = [given[title] for title in inner]
         if not there.any():
             continue
-        if known and not physical and not groups:
+        told = titles & inner.keys() or _tell([*inner.values()], here)
+        if known and name == PARTED and not told:
+            return as_sets(before, name, masks=False)
+        if known and told and not physical and not groups:
             whole = False
             continue
         for number in there.tolist():
-            masks = [(part == number) & inside for part, inside in zip(parts, own, strict=True)]
+            rows = [(part == number) & inside for part, inside in zip(parts, own, strict=True)]
             if (dim, number) not in groups and (number or not physical) and not any(
-                    all(map(np.array_equal, masks, same)) for same in known):
-                sets[_free(f"{KINDS[dim]}{number}", mesh)] = list(map(np.flatnonzero, masks))
+                    all(map(np.array_equal, rows, same)) for same in known):
+                sets[_free(f"{KINDS[dim]}{number}", mesh)] = list(map(np.flatnonzero, rows))
     out = mesh.copy()
     out.cell_sets = sets | out.cell_sets
     if groups or not sets or not whole:
@@ -158,7 +169,7 @@ def as_sets(mesh: Any, name: str) -> tuple[Any, list[str]]:
 def with_masks(mesh: Any, name: str) -> tuple[Any, list[str]]:
     """A mesh whose arrays of 0 and 1 are sets, for a format that has these and drops such arrays.
 
-    Arrays of cells that tell labels by their names, and those of VTK's own, stay arrays.
+    Arrays that tell labels by their names, and those of VTK's own, stay arrays.
 
     Parameters
     ----------
@@ -172,8 +183,7 @@ def with_masks(mesh: Any, name: str) -> tuple[Any, list[str]]:
     """
     cells = {key: [indices(np.asarray(part).ravel().astype(np.bool_)) for part in values]
              for key, values in mesh.cell_data.items()
-             if name in (*SETS, MED) and not (key in LABELS or is_known(key)) and _are_mask(
-                 key, values) and key not in mesh.cell_sets}
+             if name in (*SETS, MED) and _are_mask(key, values) and key not in mesh.cell_sets}
     points = {key: indices(np.asarray(values).ravel().astype(np.bool_))
               for key, values in mesh.point_data.items()
               if name in (SETS[0], MED) and _are_mask(key, [values]) and key not in mesh.point_sets}
@@ -189,14 +199,22 @@ def with_masks(mesh: Any, name: str) -> tuple[Any, list[str]]:
 
 
 def _are_mask(name: str, values: list[Any]) -> bool:
-    """Whether an array is of 0 and 1, in bytes if it is 1 alone, and not one of VTK's own."""
+    """Whether an array is of 0 and 1, in bytes if it is 1 alone, no labels, and not VTK's own."""
     parts = [np.asarray(part) for part in values]
-    if name.startswith("vtk") or any(
+    labels = name in (*LABELS, *POINT_LABELS, SIDES) or is_known(name)
+    if labels or name.startswith("vtk") or any(
             part.dtype.kind not in "biu" or part.size != len(part) for part in parts):
         return False
     there = {int(number) for part in parts for number in np.unique(part)}
     return 1 in there and there <= {0, 1} and (
         0 in there or all(part.dtype.itemsize == 1 for part in parts))
+
+
+def _tell(sets: list[NDArray[np.bool_]], labels: NDArray[Any]) -> bool:
+    """Whether cells that are in the same sets have the same label."""
+    alike = classes_of(sets, len(labels))[1]
+    both = classes_of([alike, labels], len(labels))[1]
+    return len(np.unique(alike)) == len(np.unique(both))
 
 
 def _free(name: str, mesh: Any) -> str:

@@ -376,3 +376,23 @@ def test_other_arrays_are_no_sets(values, tmp_path):
     with pytest.warns(match="does not keep cell data 'count'"):
         write_file(tmp_path / "a.inp", mesh)
     assert not read_file(tmp_path / "a.inp").cell_sets
+
+
+@pytest.mark.parametrize("suffix", [".inp", ".cgns", ".f3grid"])
+def test_labels_are_sets_beside_an_array_of_0_and_1_that_does_not_tell_them(suffix, tmp_path):
+    mesh, left, inlet = two_bodies()
+    flag = np.arange(len(left)) % 3 == 0
+    mesh.cell_sets = {}
+    mesh.cell_data = {"region": [np.where(left, 7, 9), np.zeros(len(inlet), dtype=int)],
+                      "done": [flag.astype(np.uint8), np.zeros(len(inlet), dtype=np.uint8)],
+                      "exodus:side_set": [np.zeros(len(left), dtype=int), inlet.astype(int)]}
+    mesh.point_data = {"medit:ref": np.arange(len(mesh.points)) % 2}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        write_file(tmp_path / f"a{suffix}", mesh)
+    back = read_file(tmp_path / f"a{suffix}")
+    overlapping = {} if suffix == ".cgns" else {"done": flag.sum()}
+    assert {name: sum(map(len, rows)) for name, rows in back.cell_sets.items()
+            if name != "triangle"} == {
+        "Volume7": left.sum(), "Volume9": (~left).sum(), **overlapping}
+    assert not back.point_sets
