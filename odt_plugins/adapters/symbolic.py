@@ -6,6 +6,9 @@ import glob
 import os
 from pathlib import Path
 
+TWO = (".gz", ".ugrid")
+"""Suffixes with another one before them that belongs to the format."""
+
 
 def behind(path: Path) -> Path:
     """The file that a path leads to, which need not be there; the path itself of no link."""
@@ -13,9 +16,12 @@ def behind(path: Path) -> Path:
 
 
 def name_behind(path: Path) -> str:
-    """Name of a file behind a path that has the suffixes of the path, by which its format goes."""
+    """Name of a file behind a path, with the suffix of the path, by which its format goes.
+
+    What is written beside that file has its name too, and not that of another file there.
+    """
     real = behind(path)
-    return real.name if real.suffixes == path.suffixes else path.name
+    return real.name if _alike(real, path) else real.name + _suffix(path)
 
 
 def with_companions(path: Path) -> Path:
@@ -24,8 +30,17 @@ def with_companions(path: Path) -> Path:
     Files such as XDMF's and TetGen's have others beside them.
     """
     real = behind(path)
-    same = real.suffixes == path.suffixes
-    return real if same and _beside(real) and not _beside(path) else path
+    return real if _alike(real, path) and _beside(real) and not _beside(path) else path
+
+
+def _alike(path: Path, other: Path) -> bool:
+    """Whether the suffixes of two paths tell the same format, and the same kind of it."""
+    return _suffix(path).lower() == _suffix(other).lower()
+
+
+def _suffix(path: Path) -> str:
+    """The last suffix of a path, with what it has of the one before: .vtu, .vol.gz, .b8.ugrid."""
+    return "".join(path.suffixes[-2 if path.suffix.lower() in TWO else -1:])
 
 
 def _beside(path: Path) -> list[Path]:

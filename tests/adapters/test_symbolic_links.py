@@ -56,6 +56,28 @@ def test_a_file_behind_a_link_may_have_another_suffix(places):
         links / "b.vtu").points.max() == 2.0
 
 
+@pytest.mark.parametrize("name", ["run-0.5.xdmf", "run-0.5.XDMF", "run"])
+def test_files_beside_the_one_behind_a_link_are_its_own(name, places):
+    """Of a name with another point, or another suffix, those of the link's name were written."""
+    real, links = places
+    write_file(real / "last.xdmf", mesh(7.0))
+    (links / "last.xdmf").symlink_to(real / name)
+    write_file(links / "last.xdmf", mesh(2.0))
+    assert read_file(real / "last.xdmf").points.max() == 7.0
+    if name != "run":
+        assert read_file(links / "last.xdmf").points.max() == 2.0
+    assert meshio.read(real / name, "xdmf").points.max() == 2.0
+
+
+@pytest.mark.filterwarnings("ignore::odt_plugins.errors.DataNotKeptWarning")
+@pytest.mark.parametrize("kind", [".b8.ugrid", ".lb4.ugrid"])
+def test_files_of_ugrid_behind_links_are_of_the_kind_of_the_link(kind, places):
+    real, links = places
+    (links / f"a{kind}").symlink_to(real / "run-0.5.b8.ugrid")
+    write_file(links / f"a{kind}", mesh(2.0))
+    assert read_file(links / f"a{kind}").points.max() == pytest.approx(2.0)
+
+
 def test_a_link_into_no_directory_is_refused(places):
     real, links = places
     (links / "b.vtu").symlink_to(real / "gone" / "a.vtu")
