@@ -84,3 +84,29 @@ def test_what_is_not_whole_is_refused(lines, words, tmp_path):
     (tmp_path / "a.avs").write_text("\n".join(rows))
     with pytest.raises(MeshFileError, match=words):
         read_file(tmp_path / "a.avs")
+
+
+def test_arrays_of_one_name_are_all_there(tmp_path):
+    """Also one of the name that the materials have, and one of no cells."""
+    head = "3 1 2 1 0\n1 0 0 0\n2 1 0 0\n3 0 1 0\n1 1 tri 1 2 3\n"
+    (tmp_path / "a.avs").write_text(
+        head + "2 1 1\nd, m\nd, m\n1 4 5\n2 1 2\n3 2 2\n1 1\navsucd:material, x\n1 7\n")
+    mesh = read_file(tmp_path / "a.avs")
+    assert {name: values.tolist() for name, values in mesh.point_data.items()} == {
+        "d": [4, 1, 2], "d_2": [5, 2, 2]}
+    assert {name: values[0].tolist() for name, values in mesh.cell_data.items()} == {
+        "avsucd:material": [1], "avsucd:material_2": [7]}
+    none = meshio.Mesh(POINTS, [("tetra", np.zeros((0, 4), dtype=int))], {"h": np.arange(12.0)},
+                       {"dose": [np.zeros(0)]})
+    with pytest.warns(DataNotKeptWarning, match="'dose'"):
+        write_file(tmp_path / "b.avs", none)
+    assert np.array_equal(read_file(tmp_path / "b.avs").point_data["h"], none.point_data["h"])
+
+
+@pytest.mark.parametrize(("old", "new", "words"), [
+    ("2 1 0 0", "1 1 0 0", "2 lines of nodes 1"), ("2 5", "3 5", "2 lines of values of nodes 3")])
+def test_numbers_that_are_there_twice_are_refused(old, new, words, tmp_path):
+    text = "3 1 1 0 0\n1 0 0 0\n2 1 0 0\n3 0 1 0\n1 1 tri 1 3 3\n1 1\nheat, K\n1 4\n2 5\n3 2\n"
+    (tmp_path / "a.avs").write_text(text.replace(old, new, 1))
+    with pytest.raises(MeshFileError, match=words):
+        read_file(tmp_path / "a.avs")

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from itertools import chain, count
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from odt_plugins.adapters.formats.decks import numbers, refuse_types
+from odt_plugins.adapters.formats.decks import refuse_types
 from odt_plugins.adapters.formats.titles import decoded
 from odt_plugins.errors import MeshFileError
 
@@ -49,6 +51,25 @@ class _Lines:
             raise MeshFileError(msg)
         return found
 
+    def table(self, count: int, what: str, width: int) -> tuple[list[int], NDArray[np.float64]]:
+        """Numbers at the starts of the next lines, and so many values (count, width) behind each.
+
+        Exponents may be as Fortran writes them.
+        """
+        rows = self.take(count, what)
+        if any(len(row.split()) <= width for row in rows):
+            msg = f"a line of {what} ends before its {width + 1} words"
+            raise MeshFileError(msg)
+        text = b"\n".join(rows).translate(bytes.maketrans(b"Dd", b"ee"))
+        values = np.loadtxt(text.splitlines(), usecols=range(width + 1), comments=None,
+                            ndmin=2) if rows else np.zeros((0, width + 1))
+        own = values[:, 0].astype(np.int64)
+        there, times = np.unique(own, return_counts=True)
+        if len(there) < count:
+            msg = f"it has {times.max()} lines of {what} {there[times.argmax()]}"
+            raise MeshFileError(msg)
+        return own.tolist(), values[:, 1:]
+
 
 def read(path: Path) -> Any:
     """Read points, cells with their materials, and arrays of both.
@@ -65,25 +86,28 @@ def read(path: Path) -> Any:
 
     lines = _Lines(path.read_bytes())
     n, m, of_points, of_cells = map(int, lines.words(1, "its head", 4)[0][:4])
-    rows = lines.words(n, "nodes", 4)
-    node = {int(row[0]): i for i, row in enumerate(rows)}
-    points = np.array([numbers(row[1:4]) for row in rows]).reshape(-1, 3)
-    cells: dict[str, list[list[int]]] = {}
+    numbers, points = lines.table(n, "nodes", 3)
+    node = {number: i for i, number in enumerate(numbers)}
+    rows = lines.words(m, "cells", 3)
     where: dict[str, list[int]] = {}
-    materials, cell = np.zeros(m, dtype=np.int64), {}
-    for i, (number, material, word, *own) in enumerate(lines.words(m, "cells", 3)):
-        kind, order = TYPES.get(word.decode("latin-1").lower(), ("", []))
-        if not kind or len(own) < len(order):
-            msg = f"it has a cell of type {word.decode('latin-1')} with {len(own)} nodes"
+    for i, row in enumerate(rows):
+        where.setdefault(row[2].decode("latin-1").lower(), []).append(i)
+    cells: list[Any] = []
+    for word, of in where.items():
+        kind, order = TYPES.get(word, ("", []))
+        least = min(len(rows[i]) for i in of) - 3
+        if not kind or least < len(order):
+            msg = f"it has a cell of type {word} with {least} nodes"
             raise MeshFileError(msg)
-        cells.setdefault(kind, []).append([node[int(own[k])] for k in order])
-        where.setdefault(kind, []).append(i)
-        cell[int(number)], materials[i] = i, int(material)
+        nodes = [[node[int(k)] for k in rows[i][3: 3 + len(order)]] for i in of]
+        cells.append((kind, np.array(nodes)[:, order]))
+    cell = {int(row[0]): i for i, row in enumerate(rows)}
+    materials = np.array([int(row[1]) for row in rows], dtype=np.int64)
     point_data = _arrays(lines, node, "values of nodes") if of_points else {}
-    cell_data = {LABEL: materials}
-    cell_data |= _arrays(lines, cell, "values of cells") if of_cells else {}
-    return Mesh(points, [(kind, np.array(own)) for kind, own in cells.items()], point_data, {
-        name: [values[own] for own in where.values()] for name, values in cell_data.items()})
+    cell_data = _arrays(lines, cell, "values of cells", LABEL) if of_cells else {}
+    return Mesh(points, cells, point_data, {
+        name: [values[of] for of in where.values()]
+        for name, values in ({LABEL: materials} | cell_data).items()})
 
 
 def write(path: Path, mesh: Any, binary: bool | None) -> list[str]:
@@ -100,19 +124,19 @@ def write(path: Path, mesh: Any, binary: bool | None) -> list[str]:
     points[:, : np.shape(mesh.points)[1]] = mesh.points
     labels = mesh.cell_data.get(LABEL, [np.zeros(len(b.data), dtype=np.int64) for b in mesh.cells])
     arrays = {name: np.concatenate(parts) for name, parts in mesh.cell_data.items()
-              if name != LABEL}
+              if name != LABEL and len(parts)}
     cells = [f"{material} {words[block.type][0]} {' '.join(map(str, row))}"
              for block, own in zip(mesh.cells, labels, strict=True) if len(block.data)
              for material, row in zip(np.asarray(own).tolist(), (np.asarray(block.data)[
                  :, words[block.type][1]].astype(np.int64) + 1).tolist(), strict=True)]
-    widths = [sum(np.size(values) // max(len(values), 1) for values in own.values())
-              for own in (mesh.point_data, arrays)]
+    tables = [[np.asarray(values, dtype=np.float64).reshape(
+        len(values), int(np.prod(np.shape(values)[1:]))) for values in own.values()]
+        for own in (mesh.point_data, arrays)]
+    widths = [sum(part.shape[1] for part in table) for table in tables]
     lines = [f"{len(points)} {len(cells)} {widths[0]} {widths[1]} 0"]
     lines += [f"{i} {' '.join(map(repr, place))}" for i, place in enumerate(points.tolist(), 1)]
     lines += [f"{i} {cell}" for i, cell in enumerate(cells, 1)]
-    for own in (mesh.point_data, arrays):
-        table = [np.asarray(values, dtype=np.float64).reshape(len(values), -1)
-                 for values in own.values()]
+    for own, table in zip((mesh.point_data, arrays), tables, strict=True):
         if table:
             lines.append(" ".join(map(str, [len(table), *(part.shape[1] for part in table)])))
             lines += [f"{name}, real" for name in own]
@@ -122,14 +146,17 @@ def write(path: Path, mesh: Any, binary: bool | None) -> list[str]:
     return []
 
 
-def _arrays(lines: _Lines, place: dict[int, int], what: str) -> dict[str, Any]:
-    """Arrays by their names; `place` has the place of each number."""
+def _arrays(lines: _Lines, place: dict[int, int], what: str, *taken: str) -> dict[str, Any]:
+    """Arrays by their names, other than some, and each once; `place` has that of each number."""
     widths = [int(word) for word in lines.words(1, what, 1)[0][1:]]
     names = [decoded(line).rpartition(",")[0].strip() or decoded(line).strip()
              for line in lines.take(len(widths), what)]
-    table = np.zeros((len(place), sum(widths)))
-    for row in lines.words(len(place), what, sum(widths) + 1):
-        table[place[int(row[0])]] = numbers(row[1: sum(widths) + 1])
-    ends = np.cumsum([0, *widths])
-    return {name: table[:, end] if width == 1 else table[:, end: end + width]
-            for name, width, end in zip(names, widths, ends.tolist(), strict=False)}
+    own, values = lines.table(len(place), what, sum(widths))
+    table = np.zeros(values.shape)
+    table[[place[number] for number in own]] = values
+    out: dict[str, Any] = {}
+    for name, part in zip(names, np.split(table, np.cumsum(widths)[:-1], axis=1), strict=True):
+        free = (title for title in chain([name], (f"{name}_{k}" for k in count(2)))
+                if title not in {*out, *taken})
+        out[next(free)] = part[:, 0] if part.shape[1] == 1 else part
+    return out
