@@ -58,6 +58,17 @@ def test_vtk_reads_arrays_of_cells(tmp_path):
         assert np.allclose(grid.cell_data[name], np.concatenate(mesh.cell_data[name]))
 
 
+@pytest.mark.parametrize("bad", [np.nan, -np.inf, 1e300])
+def test_numbers_with_which_vtk_crashes_are_not_written(bad, tmp_path):
+    mesh = mesh_of(["tetra"])
+    mesh.point_data["bad"], mesh.cell_data["worse"] = np.full(12, bad), [np.array([1.0, bad])]
+    with pytest.warns(DataNotKeptWarning, match="not keep point data 'bad', cell data 'worse'"):
+        write_file(tmp_path / "a.avs", mesh)
+    back = read_file(tmp_path / "a.avs")
+    assert {*back.point_data} == {"a height"}
+    assert {*back.cell_data} == {"avsucd:material", "material", "stress", "flow"}
+
+
 def test_files_of_other_tools_are_read(tmp_path):
     (tmp_path / "a.avs").write_text(
         "# a remark\n4 2 1 1 0\n10 0 0 0\n20 1.0d0 0 0\n30 0 1 0\n40 0 0 1\n"

@@ -16,6 +16,9 @@ from odt_plugins.errors import MeshFileError
 LABEL = "avsucd:material"
 """Array of the materials of cells."""
 
+MOST = float(np.finfo(np.float32).max)
+"""Largest number of an array."""
+
 TYPES = {
     "pt": ("vertex", [0]), "line": ("line", [0, 1]), "tri": ("triangle", [0, 1, 2]),
     "quad": ("quad", [0, 1, 2, 3]), "tet": ("tetra", [0, 1, 3, 2]),
@@ -113,6 +116,8 @@ def read(path: Path) -> Any:
 def write(path: Path, mesh: Any, binary: bool | None) -> list[str]:
     """Write points, cells with their materials, which are 0 without any, and arrays of both.
 
+    Arrays with numbers that VTK does not read, which breaks off there, are left out.
+
     Raises
     ------
     UnsupportedMeshError    there are cells of a type that the format does not know
@@ -123,20 +128,22 @@ def write(path: Path, mesh: Any, binary: bool | None) -> list[str]:
     points = np.zeros((len(mesh.points), 3))
     points[:, : np.shape(mesh.points)[1]] = mesh.points
     labels = mesh.cell_data.get(LABEL, [np.zeros(len(b.data), dtype=np.int64) for b in mesh.cells])
-    arrays = {name: np.concatenate(parts) for name, parts in mesh.cell_data.items()
-              if name != LABEL and len(parts)}
+    of_cells = {name: np.concatenate(parts) for name, parts in mesh.cell_data.items()
+                if name != LABEL and len(parts)}
+    data = [{name: values for name, values in own.items() if np.all(np.abs(values) <= MOST)}
+            for own in (mesh.point_data, of_cells)]
     cells = [f"{material} {words[block.type][0]} {' '.join(map(str, row))}"
              for block, own in zip(mesh.cells, labels, strict=True) if len(block.data)
              for material, row in zip(np.asarray(own).tolist(), (np.asarray(block.data)[
                  :, words[block.type][1]].astype(np.int64) + 1).tolist(), strict=True)]
     tables = [[np.asarray(values, dtype=np.float64).reshape(
         len(values), int(np.prod(np.shape(values)[1:]))) for values in own.values()]
-        for own in (mesh.point_data, arrays)]
+        for own in data]
     widths = [sum(part.shape[1] for part in table) for table in tables]
     lines = [f"{len(points)} {len(cells)} {widths[0]} {widths[1]} 0"]
     lines += [f"{i} {' '.join(map(repr, place))}" for i, place in enumerate(points.tolist(), 1)]
     lines += [f"{i} {cell}" for i, cell in enumerate(cells, 1)]
-    for own, table in zip((mesh.point_data, arrays), tables, strict=True):
+    for own, table in zip(data, tables, strict=True):
         if table:
             lines.append(" ".join(map(str, [len(table), *(part.shape[1] for part in table)])))
             lines += [f"{name}, real" for name in own]
