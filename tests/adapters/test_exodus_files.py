@@ -371,3 +371,18 @@ def test_sets_that_overlap_are_whole(tmp_path):
         blocks = len(f.dimensions["num_el_blk"])
         assert sum(len(f.dimensions[f"num_el_in_blk{k + 1}"]) for k in range(blocks)) == m
         assert len(f.dimensions["num_elem_sets"]) > 0
+
+
+def test_sets_that_overlap_and_have_sides_are_whole(tmp_path):
+    """Side sets had the name of such a set, whose elements were nowhere."""
+    points, cells, _, _ = box(3)
+    sides = np.sort(cells[:, :3], axis=1)[:9]
+    sets = {"a": [np.arange(20), np.arange(5)], "b": [np.arange(10, 40), np.arange(5, 9)]}
+    write_file(tmp_path / "a.e", meshio.Mesh(
+        points, [("tetra", cells), ("triangle", sides)], cell_sets=sets))
+    back = read_file(tmp_path / "a.e")
+    places = points[cells].mean(axis=1)
+    for name, (rows, _) in sets.items():
+        found = np.concatenate([back.points[block.data[part]].mean(axis=1) for block, part in zip(
+            back.cells, back.cell_sets[name], strict=True) if block.type == "tetra"])
+        assert np.array_equal(np.unique(found, axis=0), np.unique(places[rows], axis=0))

@@ -217,7 +217,10 @@ def node_sets_of(file: Any, n: int) -> dict[str, Any]:
 
 
 def _element_sets(file: Any, blocks: list[Block], sets: dict[str, Any], count: int) -> None:
-    """Add the sets of elements to those of cells; a name that is taken gets the id behind it."""
+    """Add the sets of elements to those of cells; a name that is taken gets the id behind it.
+
+    One that sides alone have is of the same set.
+    """
     names = texts(file.variables.get("els_names"), size_of(file, "num_elem_sets"))
     ids = _ids(file, "els_prop1", "num_elem_sets")
     for k, name in enumerate(names):
@@ -230,7 +233,10 @@ def _element_sets(file: Any, blocks: list[Block], sets: dict[str, Any], count: i
             inside = elements[(elements >= block.start)
                               & (elements < block.start + len(block.rows))]
             members[i] = np.unique(inside - block.start)
-        sets[title if title not in sets else f"{title}_{ids[k]}"] = members
+        own = sets.get(title, members)
+        if own is not members and not any(map(len, own[: len(blocks)])):
+            members[len(blocks):], own = own[len(blocks):], members
+        sets[title if own is members else f"{title}_{ids[k]}"] = members
 
 
 def _values(file: Any, what: str, i: int, tail: str = "") -> Any:

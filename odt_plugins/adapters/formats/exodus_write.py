@@ -75,7 +75,7 @@ def write(path: Path, mesh: Any, binary: bool | None) -> list[str]:
         for i in range(mesh.points.shape[1]):
             _put(file, f"coord{'xyz'[i]}", ("num_nodes",), np.asarray(mesh.points[:, i], float))
         named = _blocks(file, mesh, parts)
-        named |= _side_sets(file, mesh, skin, found, place)
+        _side_sets(file, mesh, skin, found, place)
         _element_sets(file, mesh, parts, named, starts)
         _node_sets(file, mesh)
         _variables(file, "nod", "num_nod_var", _columns(mesh.point_data), [
@@ -233,11 +233,11 @@ def _by_label(skin: list[_Part]) -> dict[int, list[_Part]]:
 
 def _side_sets(
     file: Any, mesh: Any, skin: list[_Part], found: list[Any], place: dict[Any, int]
-) -> set[str]:
-    """Write side sets, one a label; the names that they got."""
+) -> None:
+    """Write side sets, one a label."""
     sets = _by_label(skin)
     if not sets:
-        return set()
+        return
     file.createDimension("num_side_sets", len(sets))
     names = _names(mesh, [*sets.values()], whole=False)
     _put(file, "ss_status", ("num_side_sets",), np.ones(len(sets), dtype=np.int32))
@@ -249,11 +249,10 @@ def _side_sets(
         _put(file, f"elem_ss{k}", (f"num_side_ss{k}",),
              [place[block, cell] + 1 for block, cell, _ in table])
         _put(file, f"side_ss{k}", (f"num_side_ss{k}",), [side + 1 for *_, side in table])
-    return set(names) - {""}
 
 
 def _element_sets(file: Any, mesh: Any, parts: list[_Part], named: set[str], starts: Any) -> None:
-    """Write the other cell sets as sets of elements."""
+    """Write the cells in blocks of the other cell sets as sets of elements."""
     sets = {}
     for name in mesh.cell_sets:
         inside = [indices(rows) for rows in mesh.cell_sets[name]]
