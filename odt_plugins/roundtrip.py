@@ -62,7 +62,6 @@ from odt_plugins.mesh.simplex import (
     mesh_arrays,
     reverse,
     simplex_mesh,
-    vertices_of,
 )
 from odt_plugins.mesh.soup import at_copies, same_places
 from odt_plugins.mesh.surface import surface_mesh
@@ -389,7 +388,7 @@ def _of_soup(
         else:
             fixed = np.zeros(len(same), dtype=np.bool_)
             fixed[same[merged.mesh.fixed]] = True
-            used, places = len(vertices_of(host.cells)), len(merged.mesh.used)
+            used, places = len(np.unique(host.cells)), len(merged.mesh.used)
             there = "gone" if gone else "apart again, at the same place"
             note = host.words(
                 f"{used - places} of {used} vertices were at the place of another one and merged "

@@ -306,7 +306,7 @@ def barycentric(corners: FloatArray, x: FloatArray) -> FloatArray:
 def vertices_of(cells: NDArray[np.integer]) -> LongArray:
     """Vertices (k,) that cells, or facets, (m, j) have, increasing."""
     used = np.zeros(int(cells.max(initial=-1)) + 1, dtype=np.bool_)
-    used[cells] = True
+    used[cells.astype(np.intp)] = True
     return np.flatnonzero(used)
 
 

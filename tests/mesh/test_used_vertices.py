@@ -13,7 +13,7 @@ from hypothesis.extra.numpy import arrays
 from odt_plugins.mesh.simplex import simplex_mesh, vertices_of
 
 
-@given(arrays(st.sampled_from([np.int32, np.int64]),
+@given(arrays(st.sampled_from([np.int32, np.int64, np.float64]),
               st.tuples(st.integers(0, 9), st.integers(2, 4)), elements=st.integers(0, 40)))
 def test_vertices_of_cells_are_their_sorted_set(cells):
     assert vertices_of(cells).tolist() == sorted({*cells.ravel().tolist()})
