@@ -200,8 +200,8 @@ def _engine(options: Options, run: Mapping[str, Any]) -> Callable[..., Outcome] 
     expect(is_number(run["workers"]), "workers", run["workers"], "an integer of at least 0")
     if run["blocks"] is None:
         given = {"workers": run["workers"] != 0, "client": run["client"] is not None}
-        if any(given.values()):
-            other = next(name for name, there in given.items() if there)
+        other = next((name for name, there in given.items() if there), None)
+        if other is not None:
             msg = f"got {other}= without blocks; expected blocks=, how many the mesh is cut into"
             raise InvalidOptionError(msg)
         return None

@@ -37,32 +37,28 @@ class _Lines:
         while self.lines[self.at: self.at + 1] and self.lines[self.at].lstrip().startswith(b"#"):
             self.at += 1
 
-    def take(self, count: int, what: str) -> list[bytes]:
-        """The next lines."""
+    def take(self, count: int, what: str, width: int = 0) -> list[bytes]:
+        """The next lines, so many words at least in each."""
         found = self.lines[self.at: self.at + count]
         if len(found) < count:
             msg = f"it declares {count} lines of {what} and holds {len(found)}"
+            raise MeshFileError(msg)
+        if width and any(len(line.split()) < width for line in found):
+            msg = f"a line of {what} ends before its {width} words"
             raise MeshFileError(msg)
         self.at += count
         return found
 
     def words(self, count: int, what: str, width: int) -> list[list[bytes]]:
-        """The words of the next lines, so many at least in each."""
-        found = [line.split() for line in self.take(count, what)]
-        if any(len(row) < width for row in found):
-            msg = f"a line of {what} ends before its {width} words"
-            raise MeshFileError(msg)
-        return found
+        """The words of the next lines."""
+        return [line.split() for line in self.take(count, what, width)]
 
     def table(self, count: int, what: str, width: int) -> tuple[list[int], NDArray[np.float64]]:
         """Numbers at the starts of the next lines, and so many values (count, width) behind each.
 
         Exponents may be as Fortran writes them.
         """
-        rows = self.take(count, what)
-        if any(len(row.split()) <= width for row in rows):
-            msg = f"a line of {what} ends before its {width + 1} words"
-            raise MeshFileError(msg)
+        rows = self.take(count, what, width + 1)
         text = b"\n".join(rows).translate(bytes.maketrans(b"Dd", b"ee"))
         values = np.loadtxt(text.splitlines(), usecols=range(width + 1), comments=None,
                             ndmin=2) if rows else np.zeros((0, width + 1))
