@@ -224,7 +224,7 @@ class Density:
         pool                       whose threads share the work
         walk : (k,) int32, optional
             from :meth:`walk_start` or the last call, for points that moved little since; the
-            cells where they are now are written to it
+            cells where they are now are written to it, unless the field is constant
 
         Returns
         -------
@@ -239,6 +239,8 @@ class Density:
             return bounded_power(np.ldexp(_asked(self.function, points), -self.unit), 1.0)
         if not self.nodes.size:
             return np.ones(len(points))
+        if (self.field == self.field[0]).all():
+            return np.full(len(points), bounded_power(self.field[:1], self.power)[0])
         start = self.walk_start(len(points)) if walk is None else walk
         values = np.empty(len(points))
 

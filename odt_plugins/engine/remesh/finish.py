@@ -132,7 +132,8 @@ def _placed(resized: Outcome, leaving: Leaving) -> Outcome:
 
     The caller's coordinates may be shorter numbers. Where cells would fold all stays.
     """
-    places = leaving(resized).points
+    cells, regions = resized.cells[:0], resized.regions[:0]
+    places = leaving(replace(resized, cells=cells, regions=regions)).points
     if not (signed_volumes(places, resized.cells) > 0.0).all():
         return resized
     return replace(resized, points=places)

@@ -152,6 +152,16 @@ def _patches(
 
 
 @kernel
+def _of_one_patch(body: Body, count: int, triangles: IntArray) -> bool:
+    """Whether all of some triangles belong to one patch."""
+    tags = body.triangles.tag
+    for s in range(1, count):
+        if tags[triangles[s]] != tags[triangles[0]]:
+            return False
+    return True
+
+
+@kernel
 def near_ground(body: Body, guard: Guard, tag: int, w: int, scratch: Scratch) -> float:
     """Length, how far a patch may be from its ground near vertex w, -1 where w is too far; the
     triangle of the ground is written down, and the next search starts there.
@@ -201,10 +211,18 @@ def _patch(
             p, scratch.foot, new, number, limits[1], guard.ground, reach, room):
         return False
     if write:
-        for s in range(old):
-            guard.first[room.old[s]] = -1
-        settle(guard.first, guard.following, scratch.places, number, room)
+        _settle(guard, old, scratch)
     return True
+
+
+@kernel
+def _settle(guard: Guard, count: int, scratch: Scratch) -> None:
+    """Give what ``count`` old triangles carried to the new ones, right after these were tested."""
+    room = scratch.exchange
+    number = gather(guard.first, guard.following, count, room)
+    for s in range(count):
+        guard.first[room.old[s]] = -1
+    settle(guard.first, guard.following, scratch.places, number, room)
 
 
 @kernel
@@ -246,7 +264,10 @@ def carry(body: Body, guard: Guard, u: int, v: int, scratch: Scratch) -> None:
     if body.kind[u] == INSIDE:
         return
     count = star(body.triangles, u, scratch.second)
-    _patches(body, guard, u, v, count, scratch, True)
+    if _of_one_patch(body, count, scratch.second):
+        _settle(guard, count, scratch)
+    else:
+        _patches(body, guard, u, v, count, scratch, True)
     if body.kind[u] != LINE:
         return
     segments, rows, lines = scratch.third, body.segments.rows, guard.curves.points
