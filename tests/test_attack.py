@@ -34,6 +34,13 @@ def test_a_case_does_not_fail(kind, seed):
     assert verdict.outcome in (OK, REFUSED), verdict.details
 
 
+@pytest.mark.parametrize(
+    ("kind", "seed"), [("meshes", 61), ("metrics", 2), ("sizes", 100), ("bent", 2228)])
+def test_results_are_judged(kind, seed):
+    verdict = judge(f"attack.{kind}", seed)
+    assert verdict.outcome == OK, verdict.details
+
+
 def test_every_option_is_drawn():
     assert all_known() == []
 

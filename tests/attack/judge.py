@@ -36,8 +36,8 @@ are thinner, their side is not judged.  The package's bound is a third."""
 GROWTH = 0.5
 """Share of vertices that may be added where none is given."""
 
-ANY = 1e9
-"""Share of vertices that may be added where there may be any number."""
+ANY = 1000
+"""Share of vertices that may be added where there may be any number, the largest allowed."""
 
 Facet = tuple[int, ...]
 

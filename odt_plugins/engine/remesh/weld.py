@@ -44,7 +44,7 @@ class Welded(NamedTuple):
 def welded(mesh: SimplexMesh) -> Welded | None:
     """Let the ends of edges without length be one, where topology and labels stay what they are.
 
-    None where there are no such edges. Vertices that are held stay, and so do those on rims and on
+    None where there are no such edges, or none vanishes. Vertices that are held stay, and so do those on rims and on
     borders between labels.
     """
     n = len(mesh.points)
@@ -66,6 +66,8 @@ def welded(mesh: SimplexMesh) -> Welded | None:
         a, b = (two, one) if held[two] else (one, two)
         if a != b and not held[b] and star.contract(a, b):
             became[b] = a
+    if star.left.all():
+        return None
     kept = np.flatnonzero(became == np.arange(n)).astype(np.int32)
     return Welded(_part(mesh, star.cells, star.left, kept), kept, star.left)
 

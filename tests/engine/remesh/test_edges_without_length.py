@@ -78,6 +78,19 @@ def test_only_what_may_be_one_is():
     assert welded(surface_mesh(points, cells[: 2 * 27])) is None
 
 
+def test_an_edge_stays_whose_ends_cannot_be_one():
+    points, cells = drum([3])
+    k = len(points) // 2 - 1
+    for a, b, c in ((4, 3, 2 * k), (k + 3, k + 4, 2 * k + 1)):
+        row = np.flatnonzero((cells == [a, b, c]).all(axis=1))
+        middle = len(points)
+        cells = np.concatenate([np.delete(cells, row, axis=0), np.array(
+            [[a, b, middle], [b, c, middle], [c, a, middle]], dtype=np.int32)])
+        points = np.concatenate([points, points[[[a, b, c]]].mean(axis=1)])
+    assert welded(surface_mesh(points, cells)) is None
+    assert euler(odt_plugins.remesh((points, cells), 0.5)[1]) == 2
+
+
 def test_a_vertex_that_is_fixed_is_the_one_that_stays():
     points, cells = drum([3])
     twins = np.flatnonzero(np.linalg.norm(np.diff(points, axis=0), axis=1) < 1e-9)
