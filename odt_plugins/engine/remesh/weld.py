@@ -44,8 +44,8 @@ class Welded(NamedTuple):
 def welded(mesh: SimplexMesh) -> Welded | None:
     """Let the ends of edges without length be one, where topology and labels stay what they are.
 
-    None where there are no such edges, or none vanishes. Vertices that are held stay, and so do those on rims and on
-    borders between labels.
+    None where there are no such edges, or none vanishes. Vertices that are held stay, and so do
+    those on rims and on borders between labels.
     """
     n = len(mesh.points)
     edges = surface_edges(mesh.cells, n)
