@@ -430,8 +430,7 @@ def _fill(model: Any, dim: int, old: dict[Entity, Part], new: dict[Entity, Part]
 
     Nodes of all other entities get their new places.
     """
-    anew = [key for key in sorted(old, reverse=True)
-            if key[0] == dim or not _alike(old[key], new[key])]
+    anew = _anew(dim, old, new)
     for key in anew:
         model.mesh.clear([key])
     for key, part in new.items():
@@ -445,6 +444,21 @@ def _fill(model: Any, dim: int, old: dict[Entity, Part], new: dict[Entity, Part]
         for elements in part.elements if key in anew else ():
             model.mesh.addElementsByType(key[1], elements.number, elements.tags,
                                          elements.nodes.ravel())
+
+
+def _anew(dim: int, old: dict[Entity, Part], new: dict[Entity, Part]) -> list[Entity]:
+    """Entities to clear: those of a dimension, changed ones, and whose elements have their nodes.
+
+    Gmsh deletes the nodes of an entity that is cleared, of whichever elements they are.
+    """
+    anew = {key for key in old if key[0] == dim or not _alike(old[key], new[key])}
+    count = 0
+    while count < len(anew):
+        count = len(anew)
+        gone = np.concatenate([old[key].tags for key in anew])
+        anew |= {key for key, part in old.items() if key not in anew and any(
+            np.isin(elements.nodes, gone).any() for elements in part.elements)}
+    return sorted(anew, reverse=True)
 
 
 def _alike(one: Part, other: Part) -> bool:

@@ -339,6 +339,27 @@ def test_a_refusal_of_gmsh_leaves_the_model_as_it_was(monkeypatch):
         assert same(before, dump(model))
 
 
+@pytest.mark.parametrize("change", [
+    odt_plugins.optimize, lambda model: odt_plugins.remesh(model, scale=0.7)])
+def test_elements_of_a_surface_and_a_point_whose_nodes_are_on_the_volume_keep_them(change):
+    points, cells, _ = contract.grid(3, 4)
+    sides = np.sort(cells[:, [[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]]].reshape(-1, 3), axis=1)
+    skin, count = np.unique(sides, axis=0, return_counts=True)
+    model = contract.GmshModel().current()
+    for dim, tag in ((3, 1), (2, 5), (0, 3)):
+        model.addDiscreteEntity(dim, tag)
+    model.mesh.addNodes(3, 1, np.arange(len(points)) + 1, points.ravel())
+    for tag, number, rows in ((1, 4, cells), (5, 2, skin[count == 1]), (3, 15, [0])):
+        model.mesh.addElementsByType(tag, number, [], np.ravel(rows) + 1)
+    before = places(model)
+    change(model)
+    at, (_, nodes) = places(model), corners(model, 2)
+    a, b, c = np.moveaxis(at[nodes], 1, 0)
+    assert np.sqrt((np.cross(b - a, c - a) ** 2).sum(axis=1)).sum() / 2 == pytest.approx(6)
+    point = model.mesh.getElementsByType(15)[1]
+    np.testing.assert_array_equal(at[point], before[[1]])
+
+
 def test_what_cannot_be_kept_is_named():
     with part(size=0.7) as model:
         before = dump(model)
