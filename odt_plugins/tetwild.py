@@ -118,7 +118,7 @@ def tetrahedralize(
         return run_tetwild(given)
     with _made(given, chosen) as (mesh, _, improving):
         out: Mesh = (remesh if sizes else optimize_mesh)(mesh, **sizes, **improving)
-        _compared(given, chosen, out)
+        compare_with_surface(given, chosen, out)
         return out
 
 
@@ -143,12 +143,21 @@ def tetrahedralize_with_report(
             improving["regions"] = regions_of(*mesh)
         improve = remesh_with_report if sizes else optimize_with_report
         out, report = improve(mesh, **sizes, **improving)
-        filled = _compared(given, chosen, out)
+        filled = compare_with_surface(given, chosen, out)
     return out, replace(report, times={"TetWild": seconds, **report.times}, filled=filled)
 
 
-def _compared(given: Mapping[str, Any], chosen: Mapping[str, Any], mesh: Any) -> Covered | None:
-    """How the surface and the boundary of tetrahedra lie to each other; a warning where apart."""
+def compare_with_surface(
+    given: Mapping[str, Any], chosen: Mapping[str, Any], mesh: Any
+) -> Covered | None:
+    """How the surface and the boundary of tetrahedra lie to each other; a warning where apart.
+
+    Parameters
+    ----------
+    given : dict     arguments of TetWild
+    chosen : dict    options of ODT
+    mesh : tuple     points and cells
+    """
     if given["disable_filtering"]:
         return None
     from odt_plugins.generate.covered import REACH, compare
@@ -182,7 +191,7 @@ def _checked(
             raise InvalidOptionError(msg)
         chosen.setdefault("boundary", "slide")
         check_sizes(**sizes, **chosen)
-    _check_surface(given["vertices"], given["faces"])
+    check_surface(given["vertices"], given["faces"])
     if chosen and chosen.get("repair") == "orient":
         from odt_plugins.generate.bodies import outward
 
@@ -260,7 +269,7 @@ def odt_options(odt: Mapping[str, Any] | bool, **options: Any) -> dict[str, Any]
     return {**group, **options}
 
 
-def _check_surface(vertices: Any, faces: Any) -> None:
+def check_surface(vertices: Any, faces: Any) -> None:
     """Refuse what would end TetWild without a word; what is no array, pytetwild names."""
     if not isinstance(vertices, np.ndarray) or not isinstance(faces, np.ndarray):
         return

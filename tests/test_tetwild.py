@@ -36,7 +36,7 @@ def stored(monkeypatch):
     made = (mesh.points, mesh.cells[0].data.astype(np.int32))
     calls = []
     monkeypatch.setattr(tetwild, "run_tetwild", lambda given: calls.append(given) or made)
-    monkeypatch.setattr(tetwild, "_compared", lambda *_: None)
+    monkeypatch.setattr(tetwild, "compare_with_surface", lambda *_: None)
     return made, calls
 
 
@@ -223,7 +223,7 @@ def test_cells_take_the_sizes_that_a_field_asks_for(monkeypatch):
     """
     points, cells = tet_meshes.ball(1200, seed=3)
     monkeypatch.setattr(tetwild, "run_tetwild", lambda given: (points, cells))
-    monkeypatch.setattr(tetwild, "_compared", lambda *_: None)
+    monkeypatch.setattr(tetwild, "compare_with_surface", lambda *_: None)
 
     def size(x):
         return 1.0 + 0.5 * x[:, 0]
@@ -248,7 +248,7 @@ def test_a_mesh_with_as_many_vertices_as_cells_gets_a_function(monkeypatch):
     cells = np.vstack([cells, cells[:2]])
     monkeypatch.setattr(tetwild, "run_tetwild", lambda given: (points, cells))
     seen = []
-    monkeypatch.setattr(tetwild, "_compared", lambda *_: None)
+    monkeypatch.setattr(tetwild, "compare_with_surface", lambda *_: None)
     monkeypatch.setattr(tetwild, "optimize_mesh", lambda mesh, **options: seen.append(options))
     grid, tets, values = background(lambda x: 1.0 + x[:, 2])
     odt_plugins.tetrahedralize(CUBE, FACES, bg_vertices=grid, bg_tets=tets, bg_values=values)

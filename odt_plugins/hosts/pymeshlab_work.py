@@ -16,7 +16,7 @@ from odt_plugins.errors import InvalidMeshError, ODTError
 from odt_plugins.hosts.filter_table import ParameterError
 from odt_plugins.options import KEPT
 from odt_plugins.remeshing import remesh_with_report
-from odt_plugins.tetwild import run_tetwild
+from odt_plugins.tetwild import check_surface, compare_with_surface, run_tetwild
 
 if TYPE_CHECKING:
     from odt_plugins.report.report import Report
@@ -108,20 +108,25 @@ def _radius_ratio(meshes: Any, values: Mapping[str, Any]) -> Effect:
 def _tetrahedralize(meshes: Any, values: Mapping[str, Any]) -> Effect:
     surface = meshes.current_mesh()
     length = diagonal(meshes)
+    given = {
+        "vertices": np.array(surface.vertex_matrix()),
+        "faces": np.array(surface.face_matrix()),
+        "edge_length_fac": values["targetlen"] / length,
+        "epsilon": values["maxsurfdist"] / length,
+        "vtk_ordering": True,
+        "disable_filtering": False,
+    }
+    options = _options(values, length)
+    check_surface(given["vertices"], given["faces"])
     try:
-        tets = run_tetwild({
-            "vertices": np.array(surface.vertex_matrix()),
-            "faces": np.array(surface.face_matrix()),
-            "edge_length_fac": values["targetlen"] / length,
-            "epsilon": values["maxsurfdist"] / length,
-            "vtk_ordering": True,
-        })
+        tets = run_tetwild(given)
     except (RuntimeError, ValueError) as exc:
         if isinstance(exc, ODTError):
             raise
         msg = f"TetWild failed: {exc}; expected a closed surface, try meshing_close_holes()"
         raise InvalidMeshError(msg) from exc
-    (points, cells), report = optimize_with_report(tets, **_options(values, length))
+    (points, cells), report = optimize_with_report(tets, **options)
+    compare_with_surface(given, options, (points, cells))
     used, faces = boundary_surface(cells)
     matrix = np.array(surface.transform_matrix())
     from pymeshlab import Mesh
@@ -218,9 +223,14 @@ def _new_rows(old: NDArray[np.int32], new: NDArray[np.int32]) -> int:
 
 
 def diagonal(meshes: Any) -> float:
-    """Length of the diagonal of the current mesh's bounding box."""
+    """Length of the diagonal of the current mesh's bounding box, 1 where it has none.
+
+    Vertices without finite coordinates do not count: what refuses these names them.
+    """
     points = meshes.current_mesh().vertex_matrix()
-    return float(np.sqrt(((points.max(axis=0) - points.min(axis=0)) ** 2).sum()))
+    points = points[np.isfinite(points).all(axis=1)]
+    sides = points.max(axis=0) - points.min(axis=0) if len(points) else np.zeros(3)
+    return float(np.sqrt((sides**2).sum())) or 1.0
 
 
 WORK: dict[str, Callable[[Any, Mapping[str, Any]], Effect]] = {

@@ -21,6 +21,7 @@ from odt_plugins.errors import (
     InvalidOptionError,
     MeshFileError,
     MissingDependencyError,
+    NotFilledWarning,
     ODTError,
     UnsupportedMeshError,
 )
@@ -155,6 +156,7 @@ def test_vertices_are_inserted_into_tetrahedra(monkeypatch):
     mesh = meshio.read(DATA / "tetwild_bunny.vtu")
     tets = mesh.points, mesh.cells[0].data
     monkeypatch.setattr(pymeshlab_work, "run_tetwild", lambda given: tets)
+    monkeypatch.setattr(pymeshlab_work, "compare_with_surface", lambda *_: None)
     result = sphere().generate_odt_tetrahedralization(insert=True, objective="min_dihedral")
     (points, cells), report = odt_plugins.optimize_with_report(
         tets, insert=True, objective="min_dihedral")
@@ -364,6 +366,24 @@ def test_no_tetrahedra_inside_a_flat_mesh():
     with pytest.raises(pymeshlab.PyMeshLabException, match=r"TetWild f.*meshing_close_h") as caught:
         flat_set().generate_odt_tetrahedralization(targetlen=pymeshlab.PercentageValue(30))
     assert isinstance(caught.value, InvalidMeshError)
+
+
+def test_a_surface_that_tetrahedra_do_not_fill_is_named():
+    meshes = sphere()
+    meshes.compute_selection_by_condition_per_face(condselect="z0 > 1")
+    meshes.meshing_remove_selected_faces()
+    with pytest.warns(NotFilledWarning, match="boundary of the result stands for no face"):
+        meshes.generate_odt_tetrahedralization(targetlen=pymeshlab.PercentageValue(15))
+
+
+@pytest.mark.parametrize("name", [name for name in FILTERS if "radius_ratio" not in name])
+def test_vertices_without_finite_coordinates_are_named(name):
+    points, faces = (np.array(part) for part in state(flat_set()))
+    points[3] = np.nan
+    meshes = pymeshlab.MeshSet()
+    meshes.add_mesh(pymeshlab.Mesh(points, faces))
+    with pytest.raises(InvalidMeshError, match=r"1 vertex \(first: vertex 3\) with NaN"):
+        meshes.apply_filter(name)
 
 
 def test_the_filter_script_of_a_set_holds_our_filters_and_runs_them(tmp_path):
