@@ -73,7 +73,8 @@ CELLS = r"(?:line|triangle|quad|tetra|pyramid|wedge|hexahedron)\d+"
 """What types of cells of higher order are called."""
 
 PROBE = 1 << 16
-"""Bytes added to a file that was not written, to see whether the system lets it grow."""
+"""Bytes added to a file that was not written, with twice those of its mesh, to see whether the
+system lets it grow."""
 
 
 def matches(mesh: object) -> bool:
@@ -420,11 +421,13 @@ def _write_and_compare(
     except ImportError as exc:
         raise _missing(path, exc) from exc
     except MeshFileError as exc:
+        if (refused := _refused(exc, path, mesh)) is not None:
+            raise refused from exc
         reason = f"what meshio writes cannot be read again ({_reason(exc.__cause__)})"
         raise _not_written(path, name, reason) from exc
     # A writer may raise anything at all on a mesh that its format does not hold.
     except Exception as exc:
-        refused = _refused(exc, path)
+        refused = _refused(exc, path, mesh)
         if refused is not None:
             raise refused from exc
         if isinstance(exc, OSError):
@@ -514,15 +517,16 @@ def _write_heard(path: Path, mesh: Any, name: str, binary: bool | None) -> list[
     return said
 
 
-def _refused(exc: Exception, path: Path) -> OSError | None:
-    """What the system said: HDF5 tells it amid addresses, NumPy and netCDF do not at all."""
+def _refused(exc: Exception, path: Path, mesh: Any) -> OSError | None:
+    """What the system said: HDF5 tells it amid addresses, NumPy, netCDF and VTK do not at all."""
     told = re.search(r"errno = (\d+)", str(exc))
     number = getattr(exc, "errno", None) or (told and int(told[1]))
     if number:
         return OSError(number, os.strerror(number))
     try:
         with path.open("ab") as file:
-            file.write(bytes(PROBE))
+            file.write(bytes(PROBE + 2 * sum(
+                part.nbytes for part in (mesh.points, *(block.data for block in mesh.cells)))))
     except OSError as system:
         return system
     return None

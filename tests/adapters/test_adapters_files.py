@@ -304,6 +304,31 @@ def test_a_full_disk_leaves_the_old_file_and_no_open_handle(tmp_path, tmp_path_f
             said, said, f"{there} old", "1000", f"cannot write again{name} False"]
 
 
+CUT = """
+import os, resource, sys
+import meshio
+from odt_plugins import errors
+from odt_plugins.adapters import files
+mesh = meshio.read(sys.argv[1])
+resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, resource.RLIM_INFINITY))
+try:
+    files.write_file("out.vtk", mesh)
+except errors.MeshFileError as exc:
+    print(exc, os.listdir())
+"""
+
+
+def test_a_full_disk_is_named_where_vtk_deletes_what_it_wrote(tmp_path, tmp_path_factory):
+    points, cells, _ = contract.grid(3, 9)
+    source = tmp_path_factory.mktemp("source") / "in.vtu"
+    meshio.Mesh(points, [("tetra", cells)]).write(source)
+    done = subprocess.run(
+        [sys.executable, "-c", CUT, str(source)], cwd=tmp_path, capture_output=True, text=True,
+        check=False, timeout=200, env=full_disk(PYTHONPATH=os.pathsep.join(sys.path)))
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout == "cannot write out.vtk: File too large; try another path []\n"
+
+
 def test_a_writer_that_dies_is_an_error(tmp_path, monkeypatch):
     end_hdf5()
     (tmp_path / "h5py.py").write_text("import os\nos.kill(os.getpid(), 9)\n")
