@@ -278,8 +278,10 @@ def fill(
         slides = options.get("boundary", "slide" if sizes else "fixed") == "slide"
         first = SIZED_PART if sizes else TETWILD_PART
         first, rest = (first, 1.0 - first) if slides else (1.0, 1.0)
+        # TetWild measures its lengths by the box around all points, those of no face too.
+        used, rows = np.unique(reverse(host.cells, turned), return_inverse=True)
         (points, cells, *labels), report = tetwild.tetrahedralize_with_report(
-            host.points, reverse(host.cells, turned), labelled if bodies else None,
+            host.points[used], rows.reshape(host.cells.shape), labelled if bodies else None,
             edge_length_fac=edge_length, epsilon=first * envelope,
             num_threads=options.get("threads", 1), vtk_ordering=True,
             **sizes, **options | {"envelope": rest * envelope})

@@ -122,6 +122,14 @@ def test_a_surface_without_labels_gives_tetrahedra_alone(place):
     assert place[0]["num_threads"] == 1
 
 
+def test_points_of_no_face_change_no_lengths(place):
+    far = np.full((1, 3), 99.0)
+    meshio.Mesh(np.concatenate([far, CUBE, far]), [("triangle", FACES + 1)]).write("part.vtu")
+    odt_plugins.tetrahedralize("part.vtu", levels=0)
+    np.testing.assert_array_equal(place[0]["vertices"], CUBE)
+    np.testing.assert_array_equal(place[0]["faces"], FACES)
+
+
 def test_each_part_of_a_thin_wall_takes_the_label_of_its_side():
     plate = CUBE * [1.0, 1.0, 0.01]
     points, cells, _ = contract.grid(3, 3)
