@@ -151,6 +151,16 @@ def closed(place, monkeypatch):
     odt_plugins.tetrahedralize(place / "in.vtu", target=place / "out.vtu")
 
 
+def bent(place, monkeypatch):
+    points, cells, _ = contract.grid(3, 1)
+    monkeypatch.setattr(tetwild, "run_tetwild", lambda *_: (points, cells.astype(np.int32)))
+    faces = np.array(sorted(contract.facets(cells, np.zeros(len(cells), int))))
+    nodes, rows = quadratic_meshes.widened(points, faces)
+    nodes[len(points):] += 0.1
+    meshio.write(place / "in.vtu", meshio.Mesh(nodes, [("triangle6", rows)]))
+    odt_plugins.tetrahedralize(place / "in.vtu", target=place / "out.vtu")
+
+
 def apart(place, monkeypatch):
     start = ball(150)
     index = write_pieces(place / "in", start.points, start.cells, np.arange(len(start.cells)) % 2)
@@ -196,6 +206,7 @@ CASES = {
     "adapters/pymeshlab_faces.py": (polygons,),
     "generate/levels.py": (beyond,),
     "generate/fill.py": (closed,),
+    "generate/coarse.py": (bent,),
     "distributed/pieces.py": (apart,),
     "engine/odt/multigrid.py": (slow,),
 }

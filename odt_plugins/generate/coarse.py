@@ -10,14 +10,20 @@ import numpy as np
 
 from odt_plugins.adapters import meshio_mesh, pyvista_mesh
 from odt_plugins.adapters.files import read_file
-from odt_plugins.adapters.host import is_instance
+from odt_plugins.adapters.host import HostMesh, is_instance
 from odt_plugins.adapters.registry import find_adapter
 from odt_plugins.engine.cells.geometry import boundary_facets
-from odt_plugins.errors import InvalidMeshError, InvalidOptionError
+from odt_plugins.errors import (
+    InvalidMeshError,
+    InvalidOptionError,
+    ODTWarning,
+    counted,
+    warn,
+)
 from odt_plugins.generate.project import Target, make_target
 from odt_plugins.generate.uniform import read_linear
 from odt_plugins.mesh.arrays import FloatArray, IntArray
-from odt_plugins.mesh.simplex import mesh_arrays, simplex_mesh
+from odt_plugins.mesh.simplex import diagonal, mesh_arrays, simplex_mesh, vertices_of
 from odt_plugins.options import Options, Progress
 from odt_plugins.tetwild import run_tetwild
 
@@ -75,6 +81,7 @@ def coarse_mesh(
     if name is not None:
         msg = f"got {name} for a mesh of triangles; expected it for tetrahedra only"
         raise InvalidOptionError(msg)
+    tell_curved(host, options.envelope)
     points, faces = _surface(mesh)
     target = make_target(points, faces, angle)
     clock = time.perf_counter()
@@ -89,6 +96,27 @@ def coarse_mesh(
     if is_instance(mesh, "meshio", "Mesh"):
         return Coarse(meshio_mesh.tetrahedra(p, t), target, seconds, True)
     return Coarse((p, t), target, seconds, True)
+
+
+def tell_curved(host: HostMesh, envelope: float) -> None:
+    """Warn of curved faces, of which the flat triangles of their corners are filled.
+
+    Parameters
+    ----------
+    host : HostMesh     a surface
+    envelope : float    part of the diagonal that faces may be off without a warning
+    """
+    if host.nodes is None or host.shape is None:
+        return
+    x = host.points[host.nodes]
+    flat = np.einsum("kc,mcx->mkx", host.shape / host.shape[0].sum(), x[:, : host.shape.shape[1]])
+    off = np.sqrt(((x - flat) ** 2).sum(axis=2)).max(axis=1)
+    curved = np.flatnonzero(off > envelope * diagonal(host.points[vertices_of(host.cells)]))
+    if curved.size:
+        msg = (f"got {counted(curved.size, 'face')} (first: face {curved[0]}) that are curved, up "
+               f"to {off.max():.3g} off the flat triangles of their corners; the latter are "
+               f"filled, try more and smaller faces")
+        warn(msg, ODTWarning)
 
 
 def _surface(mesh: Any) -> tuple[FloatArray, IntArray]:

@@ -28,7 +28,7 @@ from odt_plugins.errors import (
     warn,
 )
 from odt_plugins.generate.bodies import body_labels, outward
-from odt_plugins.generate.coarse import TETWILD_PART
+from odt_plugins.generate.coarse import TETWILD_PART, tell_curved
 from odt_plugins.generate.covered import REACH, compare
 from odt_plugins.generate.levels import check_levels, refine_with_report
 from odt_plugins.mesh.arrays import FloatArray, IntArray
@@ -126,6 +126,7 @@ def tetrahedralize(vertices: Any, faces: Any = None, *more: Any, **how: Any) -> 
                                  beside it, or of that of the boundary no surface; not where TetWild
                                  runs alone, nor with disable_filtering, which fills a box
     ODTWarning                   parts of the boundary stand for no face, as where holes were closed
+    ODTWarning                   faces of higher order are curved, by more than the envelope
 
     References
     ----------
@@ -261,6 +262,8 @@ def fill(
     surface = ground[0], reverse(ground[1], turned)
     envelope = options.get("envelope", make_options().envelope)
     reach = REACH * envelope * diagonal(ground[0][np.unique(ground[1])])
+    if turned.any() or not levels:
+        tell_curved(host, envelope)
     label: IntArray | None = None
 
     def labelled(points: FloatArray, cells: IntArray) -> IntArray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 
 import contract
 import meshio
@@ -128,6 +129,23 @@ def test_points_of_no_face_change_no_lengths(place):
     odt_plugins.tetrahedralize("part.vtu", levels=0)
     np.testing.assert_array_equal(place[0]["vertices"], CUBE)
     np.testing.assert_array_equal(place[0]["faces"], FACES)
+
+
+@pytest.mark.parametrize("levels", [0, 1])
+@pytest.mark.parametrize("bulge", [0.0, 0.3])
+def test_faces_that_are_curved_are_told(place, levels, bulge):
+    pairs = np.sort(FACES[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    edges, number = np.unique(pairs, axis=0, return_inverse=True)
+    middle = CUBE[edges].mean(axis=1)
+    points = np.concatenate([CUBE, middle + bulge * (middle - 0.5)])
+    rows = np.concatenate([FACES, 8 + number.reshape(-1, 3)], axis=1)
+    meshio.Mesh(points, [("triangle6", rows)]).write("part.vtu")
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        odt_plugins.tetrahedralize("part.vtu", levels=levels)
+    said = [str(w.message) for w in caught if "12 faces (first: face 0)" in str(w.message)]
+    assert len(said) == (bulge > 0.0)
+    assert all("up to 0.212 off the flat triangles" in words for words in said)
 
 
 def test_each_part_of_a_thin_wall_takes_the_label_of_its_side():
