@@ -127,7 +127,8 @@ def _signature(points: FloatArray, facets: NDArray[Any]) -> NDArray[Any]:
     rank = np.empty(len(points), dtype=np.int64)
     rank[order] = np.arange(len(points))
     corners = np.sort(rank[facets], axis=1)
-    x = np.ascontiguousarray(points[order][corners].reshape(len(facets), -1) + 0.0)
+    width = facets.shape[1] * points.shape[1]
+    x = np.ascontiguousarray(points[order][corners].reshape(len(facets), width) + 0.0)
     bits = x.view(np.int64)
     return np.asarray(bits[np.lexsort(bits.T)])
 

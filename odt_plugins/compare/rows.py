@@ -177,7 +177,7 @@ def compare_on(
     rows = []
     for contestant, run in chain(_runs(start, contestants, limits, begin), files):
         rows.append(make_row(start, contestant, run, limits, poisson=poisson))
-        if keep is not None and run.status == "ok":
+        if keep is not None and rows[-1].measured is not None:
             keep_mesh(keep, start, contestant.name, *run.meshes[0])
     return MeshResult(start, before, mark(rows))
 
@@ -210,6 +210,10 @@ def make_row(
         measured = measure_mesh(start, *run.meshes[0], poisson=poisson)
     except (InvalidMeshError, MissingDependencyError) as exc:
         return replace(row, status="failed", message=str(exc))
+    # Whatever a tool returns, such as coordinates of 1e300, is a row.
+    except Exception as exc:
+        message = f"its mesh cannot be measured: {type(exc).__name__}: {exc}"
+        return replace(row, status="failed", message=message)
     prints = {_fingerprint(*mesh) for mesh in run.meshes}
     means = [measured.summary.mean_quality]
     if len(prints) > 1:

@@ -95,7 +95,7 @@ def run_contestant(start: StartMesh, contestant: Contestant, limits: Limits) -> 
         (folder / "job.json").write_text(json.dumps(job), encoding="utf-8")
         save_mesh(folder / "start.npz", start.points, start.cells, start.regions)
         ending, said = _process(folder, limits, os.getcwd() if function else "")
-        return _read(folder, ending, said, limits)
+        return _read(folder, start, ending, said, limits)
 
 
 def _process(folder: Path, limits: Limits, place: str) -> tuple[int | None, str]:
@@ -140,7 +140,9 @@ def _wait(process: subprocess.Popen[bytes], ready: Path, seconds: float) -> int 
             counts, ends = True, time.monotonic() + seconds
 
 
-def _read(folder: Path, ending: int | None, said: str, limits: Limits) -> Run:
+def _read(
+    folder: Path, start: StartMesh, ending: int | None, said: str, limits: Limits
+) -> Run:
     file = folder / RESULT
     facts = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
     status = str(facts.get("status", "crashed"))
@@ -156,15 +158,22 @@ def _read(folder: Path, ending: int | None, said: str, limits: Limits) -> Run:
     if meshes and status in ("timeout", "crashed"):
         message = f"{message}, after {len(meshes)} complete runs, which are shown"
         status = "ok"
-    if status == "ok" and any(fault := [_fault(*mesh[:2]) for mesh in meshes]):
+    if status == "ok" and any(fault := [_fault(start, *mesh) for mesh in meshes]):
         return Run("nothing", next(f for f in fault if f), facts)
     return Run(status, message, facts, meshes)
 
 
-def _fault(points: NDArray[Any], cells: NDArray[Any]) -> str:
-    """Say what makes arrays no mesh at all."""
-    if not len(cells):
+def _fault(
+    start: StartMesh, points: NDArray[Any], cells: NDArray[Any], regions: NDArray[Any] | None
+) -> str:
+    """Say what makes arrays no mesh at all, or none of the kind of the start."""
+    if not cells.size:
         return "returned no cells"
+    for name, array, like in (("points", points, start.points), ("cells", cells, start.cells)):
+        if array.shape[1:] != like.shape[1:]:
+            return f"returned {name} of shape {array.shape}, expected (n, {like.shape[1]})"
+    if regions is not None and regions.shape != cells.shape[:1]:
+        return f"returned labels of shape {regions.shape}, expected ({len(cells)},)"
     if cells.min() < 0 or cells.max() >= len(points):
         return "returned cells with vertices that do not exist"
     if not np.isfinite(points[cells]).all():

@@ -94,6 +94,40 @@ def test_regions_reach_functions_of_the_caller(tmp_path, monkeypatch):
     assert not row.measured.regions_ignored
 
 
+ODD = """
+import numpy as np
+def flat(points, cells, labels):
+    return points[:, :2], cells
+def faces(points, cells, labels):
+    return points, cells[:, :3]
+def few(points, cells, labels):
+    return points, cells, [7, 8]
+def shut(points, cells, labels):
+    return points, np.zeros_like(cells)
+def huge(points, cells, labels):
+    return 1e300 * points, cells
+"""
+
+
+@pytest.mark.filterwarnings("ignore:overflow:RuntimeWarning")
+@pytest.mark.parametrize(("name", "status", "said"), [
+    ("flat", "nothing", r"points of shape (116, 2), expected (n, 3)"),
+    ("faces", "nothing", r"expected (n, 4)"),
+    ("few", "nothing", "labels of shape (2,)"),
+    ("shut", "ok", ""),
+    ("huge", "failed", "its mesh cannot be measured: ValueError"),
+])
+def test_whatever_a_function_returns_is_a_row(tmp_path, monkeypatch, name, status, said):
+    (tmp_path / f"odd_{name}.py").write_text(ODD)
+    monkeypatch.chdir(tmp_path)
+    contestant = choose([f"odd_{name}:{name}"])[1:]
+    result = compare_on(ball(60), contestant, ONCE, keep=tmp_path / "kept")
+    (row,) = result.rows
+    assert (row.status, said in row.message) == (status, True), row.message
+    kept = {path.name for path in (tmp_path / "kept").iterdir()}
+    assert len(kept) == 1 + (status == "ok")
+
+
 def test_files_are_measured_and_results_are_kept(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     start = ball(60)
