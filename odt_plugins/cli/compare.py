@@ -14,7 +14,7 @@ from odt_plugins.compare.output import FILES, write_all
 from odt_plugins.compare.rows import MeshResult, Row, compare_on
 from odt_plugins.compare.runner import Limits
 from odt_plugins.compare.score import score_table, verdict
-from odt_plugins.compare.start import read_start, stored
+from odt_plugins.compare.start import distinct, read_start, stored
 from odt_plugins.compare.start import suite as suite_meshes
 from odt_plugins.compare.table import as_text
 from odt_plugins.generate.clouds import SEED
@@ -81,7 +81,7 @@ def compare(
     if suite == "tangled":
         from odt_plugins.compare.tangled import FILE, run_tangled
 
-        meshes = [read_start(path) for path in sources] or [stored("bunny"), stored("bone")]
+        meshes = distinct(map(read_start, sources)) or [stored("bunny"), stored("bone")]
         click.echo(run_tangled(out, meshes, against, Limits(time_limit or 60.0, repeats, 2.0,
                                threads), say=lambda name: click.echo(name, err=True)))
         click.echo(f"written: {out / FILE}")
@@ -90,7 +90,7 @@ def compare(
         from odt_plugins.compare.sized import FILE as SIZED
         from odt_plugins.compare.sized import run_sized
 
-        click.echo(run_sized(out, [read_start(path) for path in sources], against, Limits(
+        click.echo(run_sized(out, distinct(map(read_start, sources)), against, Limits(
             time_limit or 60.0, repeats, 2.0, threads), lambda name: click.echo(name, err=True)))
         click.echo(f"written: {out / SIZED}")
         return 0
@@ -98,8 +98,7 @@ def compare(
         msg = "nothing to compare on; give a mesh file, or --suite standard"
         raise click.UsageError(msg)
     contestants = choose(against)
-    starts = [read_start(path) for path in sources]
-    starts += suite_meshes(suite) if suite else []
+    starts = distinct([*map(read_start, sources), *(suite_meshes(suite) if suite else [])])
     usual = {"standard": 20.0, "large": 900.0}.get(suite or "", 60.0)
     limit = time_limit or usual
     limits = Limits(limit, repeats, min(1.5, limit / 4), threads)

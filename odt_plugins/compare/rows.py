@@ -171,7 +171,9 @@ def compare_on(
     begin : callable            is given every contestant before it runs
     """
     before = measure_mesh(start, start.points, start.cells, start.regions, poisson=poisson)
-    files = [of_file(path, start) for path in results]
+    names = [path.name for path in results]
+    files = [(replace(who, name=str(path)) if names.count(path.name) > 1 else who, run)
+             for path in results for who, run in [of_file(path, start)]]
     if keep is not None:
         keep_mesh(keep, start, "start", start.points, start.cells, start.regions)
     rows = []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from importlib.resources import as_file, files
 from pathlib import Path
@@ -118,6 +119,18 @@ def stored(name: str) -> StartMesh:
     """Read one of the meshes stored with the package, by its name in STORED."""
     with as_file(files("odt_plugins.compare") / "data" / f"{name}.vtu") as path:
         return replace(read_start(path), name=name, origin=STORED[name])
+
+
+def distinct(starts: Iterable[StartMesh]) -> list[StartMesh]:
+    """The same meshes; one with the name of another before it has a number behind its own."""
+    out: dict[str, StartMesh] = {}
+    for start in starts:
+        name, count = start.name, 1
+        while name in out:
+            count += 1
+            name = f"{start.name}-{count}"
+        out[name] = replace(start, name=name)
+    return list(out.values())
 
 
 def reordered(start: StartMesh, seed: int) -> StartMesh:

@@ -157,6 +157,28 @@ def test_files_are_measured_and_results_are_kept(tmp_path, monkeypatch):
     assert back.points.tobytes() == moved.tobytes()
 
 
+def test_meshes_and_results_with_the_same_name_are_kept_apart(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for folder, count in (("a", 60), ("b", 80)):
+        (tmp_path / folder).mkdir()
+        start = ball(count)
+        write_arrays(f"{folder}/part.vtu", start.points, start.cells)
+    words = ["--repeats", "1", "--no-poisson", "--against", "Laplacian", "--keep", "kept"]
+    done = CliRunner().invoke(cli, ["compare", "a/part.vtu", "b/part.vtu", *words])
+    assert done.exit_code == 0, done.output
+    whole = json.loads((tmp_path / "comparison" / "comparison.json").read_text())
+    assert [mesh["name"] for mesh in whole["meshes"]] == ["part", "part-2"]
+    for name, folder in (("part", "a"), ("part-2", "b")):
+        there = read_file(tmp_path / folder / "part.vtu")
+        kept = read_file(tmp_path / "kept" / f"{name}-start.vtu")
+        assert np.array_equal(kept.points, there.points)
+    done = CliRunner().invoke(cli, ["compare", "a/part.vtu", *words, "--result", "a/part.vtu",
+                                    "--result", "b/part.vtu"])
+    assert done.exit_code == 0, done.output
+    assert len(read_file(tmp_path / "kept" / "part-a-part.vtu.vtu").points) != len(
+        read_file(tmp_path / "kept" / "part-b-part.vtu.vtu").points)
+
+
 def test_a_result_in_an_oblique_plane_is_seen_in_the_plane_of_its_start(tmp_path):
     flat = plate(60)
     turn = np.linalg.qr(np.random.default_rng(4).normal(size=(3, 3)))[0]
