@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import signal
@@ -12,6 +13,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
+from tempfile import gettempdir
 from typing import Any
 
 import click
@@ -86,6 +88,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         except BrokenPipeError:
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             return COULD_NOT
+        except OSError as exc:
+            if exc.errno != errno.ENOSPC:
+                raise
+            return _fail(f"cannot write: {exc.strerror}; try more room in {gettempdir()}, or in "
+                         "another folder that TMPDIR names", COULD_NOT)
         except MemoryError:
             return _fail("not enough memory for a mesh of this size", COULD_NOT)
     return code if isinstance(code, int) else DONE

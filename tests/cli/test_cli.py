@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import re
@@ -550,6 +551,22 @@ def test_a_reader_that_closes_the_pipe_gets_no_traceback(place: Path) -> None:
     os.close(write)
     assert done.returncode == 1
     assert "Traceback" not in done.stderr
+
+
+def test_a_temporary_folder_without_room_is_told(
+    place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+) -> None:
+    def full(*_: Any) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    faces = [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]
+    corners = np.vstack([np.zeros(3), np.eye(3)])
+    meshio.write(place / "skin.vtu", meshio.Mesh(corners, [("triangle", np.array(faces))]))
+    assert cli.main(["tetrahedralize", str(place / "skin.vtu"), str(place / "out.vtu")]) == 1
+    said = capsys.readouterr().err
+    assert said.startswith("odt-plugins: cannot write: No space left on device; try more room in")
+    assert len(said.splitlines()) == 1
 
 
 def test_help_is_quick_and_loads_neither_engine_nor_toolkits() -> None:
