@@ -147,25 +147,8 @@ def _links_meet(tets: Simplices, u: int, v: int, scratch: Scratch) -> bool:
 
     Triangles in both links give tetrahedra of negative volume.
     """
-    mark = scratch.mark
-    near, both = scratch.clock[0] + 1, scratch.clock[0] + 2
-    scratch.clock[0] += 2
-    cells = star(tets, u, scratch.first)
-    others = star(tets, v, scratch.second)
-    if cells < 0 or others < 0:
-        return False
-    for s in range(cells):
-        for i in range(4):
-            mark[tets.rows[scratch.first[s], i]] = near
-    for s in range(cells):
-        c = scratch.first[s]
-        if holds(tets, c, v):
-            for i in range(4):
-                mark[tets.rows[c, i]] = both
-    for s in range(others):
-        for i in range(4):
-            if mark[tets.rows[scratch.second[s], i]] == near:
-                return False
+    cells, others = _vertices_meet(tets, 4, u, v, scratch)
+    mark, both = scratch.mark, scratch.clock[0]
     for s in range(cells):
         c = scratch.first[s]
         if holds(tets, c, v):
@@ -178,7 +161,38 @@ def _links_meet(tets: Simplices, u: int, v: int, scratch: Scratch) -> bool:
                 if _held_with(tets, v, w, x, scratch.second, others) and not _with_edge(
                         tets, v, w, x, scratch.first, cells):
                     return False
-    return True
+    return cells > 0
+
+
+@kernel
+def _vertices_meet(
+    simplices: Simplices, corners: int, u: int, v: int, scratch: Scratch
+) -> tuple[int, int]:
+    """How many simplices of so many corners are around u and v, listed in ``first`` and ``second``.
+
+    0 and 0 where a vertex beside both is in no simplex with both; those that are in one have the
+    last stamp.
+    """
+    mark, rows = scratch.mark, simplices.rows
+    scratch.clock[0] += 2
+    both = scratch.clock[0]
+    cells = star(simplices, u, scratch.first)
+    others = star(simplices, v, scratch.second)
+    if cells < 0 or others < 0:
+        return 0, 0
+    for s in range(cells):
+        for i in range(corners):
+            mark[rows[scratch.first[s], i]] = both - 1
+    for s in range(cells):
+        c = scratch.first[s]
+        if holds(simplices, c, v):
+            for i in range(corners):
+                mark[rows[c, i]] = both
+    for s in range(others):
+        for i in range(corners):
+            if mark[rows[scratch.second[s], i]] == both - 1:
+                return 0, 0
+    return cells, others
 
 
 @kernel
@@ -203,25 +217,7 @@ def _with_edge(s: Simplices, v: int, w: int, x: int, slots: IntArray, count: int
 @kernel
 def _surface_links_meet(triangles: Simplices, u: int, v: int, scratch: Scratch) -> bool:
     """The same on the surface, of which no triangle may come to lie on another one."""
-    mark = scratch.mark
-    near, both = scratch.clock[0] + 1, scratch.clock[0] + 2
-    scratch.clock[0] += 2
-    cells = star(triangles, u, scratch.first)
-    others = star(triangles, v, scratch.second)
-    if cells < 0 or others < 0:
-        return False
-    for s in range(cells):
-        for i in range(3):
-            mark[triangles.rows[scratch.first[s], i]] = near
-    for s in range(cells):
-        c = scratch.first[s]
-        if holds(triangles, c, v):
-            for i in range(3):
-                mark[triangles.rows[c, i]] = both
-    for s in range(others):
-        for i in range(3):
-            if mark[triangles.rows[scratch.second[s], i]] == near:
-                return False
+    cells, others = _vertices_meet(triangles, 3, u, v, scratch)
     for s in range(cells):
         c = scratch.first[s]
         if holds(triangles, c, v):
@@ -233,7 +229,7 @@ def _surface_links_meet(triangles: Simplices, u: int, v: int, scratch: Scratch) 
             x = triangles.rows[c, 2]
         if _held_with(triangles, v, w, x, scratch.second, others):
             return False
-    return True
+    return cells > 0
 
 
 @kernel
