@@ -17,7 +17,7 @@ def story(report: Any) -> list[str]:
              f"({100 * report.movable_share:.0f} %)"] if report.n_used else []
     if report.regions_from:
         names = ", ".join(map(repr, report.regions_from))
-        lines.append(f"regions are those of {names}, interfaces between them stay")
+        lines.append(f"regions are those of {names}, with the interfaces between them")
     if report.interpolated:
         names = ", ".join(map(repr, report.interpolated))
         lines.append(f"fields interpolated at the new places of vertices: {names}")
