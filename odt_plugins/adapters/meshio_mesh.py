@@ -481,3 +481,11 @@ def tetrahedra(points: NDArray[np.float64], cells: NDArray[np.int32]) -> Any:
     from meshio import Mesh
 
     return Mesh(points, [("tetra", cells)])
+
+
+def one_cell(corners: int) -> Any:
+    """Make a meshio.Mesh of one triangle or tetrahedron, to see whether a format holds such."""
+    from meshio import Mesh
+
+    kind = "tetra" if corners == 4 else "triangle"
+    return Mesh(np.zeros((corners, 3)), [(kind, np.arange(corners)[None])])

@@ -70,7 +70,8 @@ def mesh(
     is meshed coarsely by TetWild; then all is refined --levels times (1), moved to the surface and
     optimised.
     """
-    from odt_plugins.adapters.files import check_output, write_arrays
+    from odt_plugins.adapters.files import check_output, expect_same_kind, write_arrays
+    from odt_plugins.adapters.meshio_mesh import one_cell
     from odt_plugins.figures import summarize, uniformity
     from odt_plugins.generate.odtmesh import odtmesh2d
     from odt_plugins.generate.samples import SAMPLES
@@ -78,7 +79,9 @@ def mesh(
     from odt_plugins.table import table_lines
 
     check_paths(Path(what), target, report_file)
+    flat = what in SAMPLES or what.endswith(".py")
     check_output(target)
+    expect_same_kind(one_cell(3 if flat else 4), target)
     if what in SAMPLES:
         sample, known = SAMPLES[what], True
     elif what.endswith(".py"):

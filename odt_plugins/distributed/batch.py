@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from odt_plugins.adapters.files import check_output, expect_same_kind
+from odt_plugins.adapters.meshio_mesh import one_cell
 from odt_plugins.distributed.job import (
     REPORT,
     RESULT,
@@ -166,8 +167,7 @@ def make_jobs(
     ------
     InvalidOptionError           an option is wrong, or holds an array, which fits one mesh only;
                                  or a result would take the place of an input
-    MeshFileError                the suffix is none of a mesh file, or one of single meshes for
-                                 a scene
+    MeshFileError                the suffix is none of files that hold such meshes
     """
     make_options(**options)
     if suffix:
@@ -205,8 +205,7 @@ def make_jobs(
             msg = (f"got {out} for the results, where {name} would take the place of an input; "
                    "expected another folder")
             raise InvalidOptionError(msg)
-        if not settings.get("tetrahedralize"):
-            expect_same_kind(path, name)
+        expect_same_kind(one_cell(4) if settings.get("tetrahedralize") else path, name)
         taken.add(str(name))
         jobs.append(Job(path, os.path.abspath(out), str(name), dict(options), **settings))
     return jobs

@@ -192,6 +192,7 @@ def _from_file(
     check_fill(levels, edge_length, options, sizes)
     if target is not None:
         files.check_output(target, file_format, binary)
+        files.expect_same_kind(meshio_mesh.one_cell(4), target)
     mesh, report, _ = fill(source, levels, edge_length, options, bodies, sizes)
     if target is None:
         return mesh, report

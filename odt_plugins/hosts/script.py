@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
 from odt_plugins.adapters import files
+from odt_plugins.adapters.meshio_mesh import one_cell
 from odt_plugins.adapters.pymeshlab_copy import muted
 from odt_plugins.adapters.pymeshlab_set import restore_script, saved_script
 from odt_plugins.errors import InvalidMeshError, MeshFileError, require
@@ -118,6 +119,8 @@ def run_script_on_files(
                f"{' '.join(SURFACES)}, or {TETRAHEDRA} in the script for a file of tetrahedra")
         raise MeshFileError(msg)
     files.check_output(target.with_suffix(".vtu") if surface else target)
+    if not surface:
+        files.expect_same_kind(one_cell(4), target)
     if not source.is_file():
         msg = f"cannot read {source}: it is missing; expected a mesh file"
         raise MeshFileError(msg)

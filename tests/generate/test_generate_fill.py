@@ -15,7 +15,7 @@ from odt_plugins import tetwild
 from odt_plugins.adapters import files
 from odt_plugins.cli import main as cli
 from odt_plugins.errors import InvalidMeshError, InvalidOptionError, NotFilledWarning, ODTWarning
-from odt_plugins.generate import coarse, fill
+from odt_plugins.generate import coarse, fill, odtmesh
 
 CUBE = np.array([[x, y, z] for x in (0.0, 1) for y in (0.0, 1) for z in (0.0, 1)])
 QUADS = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
@@ -121,6 +121,21 @@ def test_a_surface_without_labels_gives_tetrahedra_alone(place):
     assert set(files.read_file("out.vtu").cells_dict) == {"tetra"}
     assert report.options["smoothing"]["rounds"] == 2
     assert place[0]["num_threads"] == 1
+
+
+@pytest.mark.parametrize("words", [
+    "tetrahedralize part.stl part.stl", "tetrahedralize part.stl out.vtp", "mesh part.stl out.ply",
+    "tetrahedralize part.stl out.glb", "mesh circle out.f3grid", "mesh part.stl out.obj",
+    "batch part.stl --out . --tetrahedralize --suffix .off"])
+def test_a_format_without_such_cells_is_refused_before_any_work(
+    place, capsys, monkeypatch, words,
+):
+    monkeypatch.setattr(odtmesh, "odtmesh2d", lambda *given, **_: place.append(given))
+    surface().write("part.stl")
+    assert cli.main(words.split()) == 1
+    said = capsys.readouterr().err
+    assert "it holds no cells of type" in said or "cannot write a single mesh to out.glb" in said
+    assert not place
 
 
 def test_points_of_no_face_change_no_lengths(place):

@@ -576,6 +576,15 @@ def test_tetrahedra_of_a_script_go_into_a_file(tmp_path):
     assert figures.inverted == 0
 
 
+def test_a_format_without_tetrahedra_is_refused_before_a_script_runs(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(pymeshlab_work, "run_tetwild", None)
+    sphere().save_current_mesh(str(tmp_path / "ball.ply"))
+    file = script(tmp_path, ENTRY.format("ODT Tetrahedralization", ""))
+    words = ["script", str(file), str(tmp_path / "ball.ply"), str(tmp_path / "out.vtp")]
+    assert cli.main(words) == 1
+    assert "it holds no cells of type tetra" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(("source", "target", "words"), [
     ("in.ply", "out.vtu", "MeshLab has no format '.vtu'.*or generate_odt_tetrahedralization"),
     ("in.ply", "no/such/out.ply", "is not a directory"),
