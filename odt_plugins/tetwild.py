@@ -7,6 +7,7 @@ working directory, and it cannot be interrupted. pytetwild is imported in that p
 from __future__ import annotations
 
 import inspect
+import math
 import pickle
 import re
 import subprocess
@@ -71,6 +72,12 @@ RegionsOf = Callable[[NDArray[np.float64], NDArray[np.int32]], NDArray[np.int32]
 INSIDE = -1e-9
 """Least barycentric coordinate of a point that counts as inside a tetrahedron."""
 
+
+LENGTHS = ("vertices", "edge_length_abs", "bg_vertices", "bg_values")
+"""Arguments of TetWild in the unit of the surface."""
+
+USUAL = (1e-3, 1e6)
+"""Diagonals of surfaces that TetWild gets as they are."""
 
 SIZES = ("size", "scale", "cells", "growth")
 """Arguments of :func:`odt_plugins.remesh` that follow TetWild."""
@@ -308,6 +315,10 @@ def run_tetwild(
     arguments = {name: value for name, value in given.items()
                  if usual[name].default is inspect.Parameter.empty
                  or value is not usual[name].default}
+    power = _power(given["vertices"])
+    for name in LENGTHS if power else ():
+        if arguments.get(name) is not None:
+            arguments[name] = np.ldexp(arguments[name], -power)
     quiet = given.get("quiet", True)
     if report is not None:
         arguments["quiet"] = False
@@ -327,7 +338,16 @@ def run_tetwild(
     points, cells = result
     if not len(cells):
         raise InvalidMeshError(_no_tetrahedra("it gave an empty mesh"))
-    return points, cells
+    return np.ldexp(points, power) if power else points, cells
+
+
+def _power(vertices: Any) -> int:
+    """Power of 2 that the diagonal of a surface of unusual size has, 0 for any other.
+
+    TetWild crashes at diagonals such as 1e-9. A power of 2 changes no digit.
+    """
+    length = diagonal(vertices) if isinstance(vertices, np.ndarray) and vertices.size else 0.0
+    return 0 if USUAL[0] <= length <= USUAL[1] else math.frexp(length)[1]
 
 
 def _run(folder: Path, quiet: bool, report: Progress | None) -> tuple[int, str]:

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import inspect
+import math
+import pickle
+import warnings
 from pathlib import Path
 
 import contract
@@ -103,6 +106,38 @@ def test_options_are_checked_before_tetwild_runs(monkeypatch):
     ):
         with pytest.raises(InvalidOptionError, match=message):
             odt_plugins.tetrahedralize(CUBE, FACES, **given)
+
+
+@pytest.mark.parametrize("power", [-30, -120, 0, 12, 120])
+def test_tetwild_gets_surfaces_of_usual_size(monkeypatch, power):
+    mesh = meshio.read(STORED)
+    seen = []
+
+    def run(folder, *_):
+        seen.append(pickle.loads((folder / "arguments").read_bytes()))
+        (folder / "result").write_bytes(pickle.dumps((mesh.points, mesh.cells[0].data)))
+        return 0, ""
+
+    monkeypatch.setattr(tetwild, "_run", run)
+    grid, tets, values = background(lambda x: 0.1 + 0.0 * x[:, 0])
+    for by in (0, power):
+        points, _ = odt_plugins.tetrahedralize(
+            np.ldexp(CUBE, by), FACES, edge_length_abs=math.ldexp(0.3, by), odt=False,
+            bg_vertices=np.ldexp(grid, by), bg_tets=tets, bg_values=np.ldexp(values, by))
+    usual, other = seen
+    back = 1 if abs(power) > 20 else -power
+    for name in ("vertices", "edge_length_abs", "bg_vertices", "bg_values"):
+        assert np.array_equal(np.ldexp(other[name], back), usual[name])
+    assert np.array_equal(points, np.ldexp(mesh.points, power + back))
+
+
+@pytest.mark.parametrize("scale", [1e-9, 1e-35])
+def test_a_small_surface_is_filled(scale):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        points, cells = odt_plugins.tetrahedralize(scale * CUBE, FACES, edge_length_fac=0.2)
+    size = np.linalg.det((points / scale)[cells][:, 1:] - (points / scale)[cells][:, :1])
+    assert np.abs(size).sum() / 6 == pytest.approx(1.0, rel=0.05)
 
 
 def test_what_pytetwild_refuses_comes_through():
