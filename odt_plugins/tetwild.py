@@ -35,7 +35,7 @@ from odt_plugins.errors import (
     warn,
 )
 from odt_plugins.keywords import OptionKeywords, with_option_signature
-from odt_plugins.mesh.simplex import barycentric, diagonal, mesh_arrays, reverse
+from odt_plugins.mesh.simplex import barycentric, diagonal, mesh_arrays, reverse, vertices_of
 from odt_plugins.options import EDGE_LENGTH, OPTIONS, Progress, hint_for, make_options
 from odt_plugins.progress import part, telling
 from odt_plugins.remeshing import check_sizes, remesh, remesh_with_report
@@ -198,7 +198,7 @@ def _checked(
             raise InvalidOptionError(msg)
         chosen.setdefault("boundary", "slide")
         check_sizes(**sizes, **chosen)
-    check_surface(given["vertices"], given["faces"])
+    given.update(read_surface(given["vertices"], given["faces"]))
     if chosen and chosen.get("repair") == "orient":
         from odt_plugins.generate.bodies import outward
 
@@ -276,10 +276,14 @@ def odt_options(odt: Mapping[str, Any] | bool, **options: Any) -> dict[str, Any]
     return {**group, **options}
 
 
-def check_surface(vertices: Any, faces: Any) -> None:
-    """Refuse what would end TetWild without a word; what is no array, pytetwild names."""
+def read_surface(vertices: Any, faces: Any) -> dict[str, Any]:
+    """The vertices that have a face, and the faces, which name these.
+
+    TetWild measures its lengths by the box around all vertices. What would end it without a word
+    is refused; what is no array, pytetwild names.
+    """
     if not isinstance(vertices, np.ndarray) or not isinstance(faces, np.ndarray):
-        return
+        return {}
     for name, array in (("vertices", vertices), ("faces", faces)):
         if array.size and array.shape[1:] != (3,):
             expected = "(n, 3)" if name == "vertices" else "(m, 3)"
@@ -290,6 +294,11 @@ def check_surface(vertices: Any, faces: Any) -> None:
     except InvalidMeshError as exc:
         words = str(exc).replace("the mesh", "the surface").replace(" or tetrahedron", "")
         raise InvalidMeshError(words.replace("cell", "face")) from exc
+    used = vertices_of(faces)
+    if len(used) == len(vertices):
+        return {"vertices": vertices, "faces": faces}
+    return {"vertices": vertices[used],
+            "faces": np.searchsorted(used, faces).astype(faces.dtype)}
 
 
 def expect_pytetwild() -> None:

@@ -162,6 +162,17 @@ def test_a_mesh_of_a_toolkit_in_place_of_arrays_is_refused(package, name, hint):
             call(mesh)
 
 
+@pytest.mark.parametrize("call", [
+    odt_plugins.tetrahedralize, odt_plugins.tetrahedralize_with_report,
+    lambda *given: odt_plugins.tetrahedralize(*given, odt=False)])
+def test_vertices_of_no_face_change_no_lengths(stored, call):
+    far = np.full((1, 3), 99.0)
+    call(np.concatenate([far, CUBE, far]), FACES + 1)
+    (given,) = stored[1]
+    np.testing.assert_array_equal(given["vertices"], CUBE)
+    np.testing.assert_array_equal(given["faces"], FACES)
+
+
 @pytest.mark.parametrize(("spoil", "message"), [
     (lambda v, f: (v * np.nan, f), r"8 points \(first: point 0\) with NaN"),
     (lambda v, f: (v, f + 100), r"12 faces \(first: face 0\) with vertex indices out of range"),

@@ -71,7 +71,8 @@ def tetrahedralize(vertices: Any, faces: Any = None, *more: Any, **how: Any) -> 
     ----------
     vertices, faces, ..., bg_values
         What `pytetwild.tetrahedralize` takes, with its defaults; edge_length_fac and epsilon are
-        relative to the bounding-box diagonal, the other lengths are in the caller's unit.
+        relative to the diagonal of the box around the faces, the other lengths are in the caller's
+        unit.
         `vertices` may also be the path of a file, without `faces` and the others.
     odt : bool or dict
         False for TetWild alone; a dict of options, should one of pytetwild's keywords ever have
@@ -282,10 +283,8 @@ def fill(
         slides = options.get("boundary", "slide" if sizes else "fixed") == "slide"
         first = SIZED_PART if sizes else TETWILD_PART
         first, rest = (first, 1.0 - first) if slides else (1.0, 1.0)
-        # TetWild measures its lengths by the box around all points, those of no face too.
-        used, rows = np.unique(reverse(host.cells, turned), return_inverse=True)
         (points, cells, *labels), report = tetwild.tetrahedralize_with_report(
-            host.points[used], rows.reshape(host.cells.shape), labelled if bodies else None,
+            host.points, reverse(host.cells, turned), labelled if bodies else None,
             edge_length_fac=edge_length, epsilon=first * envelope,
             num_threads=options.get("threads", 1), vtk_ordering=True,
             **sizes, **options | {"envelope": rest * envelope})

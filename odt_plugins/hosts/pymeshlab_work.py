@@ -14,9 +14,10 @@ from odt_plugins.adapters.pymeshlab_set import exchange
 from odt_plugins.api import optimize_with_report
 from odt_plugins.errors import InvalidMeshError, ODTError
 from odt_plugins.hosts.filter_table import ParameterError
+from odt_plugins.mesh.simplex import vertices_of
 from odt_plugins.options import KEPT
 from odt_plugins.remeshing import remesh_with_report
-from odt_plugins.tetwild import check_surface, compare_with_surface, run_tetwild
+from odt_plugins.tetwild import compare_with_surface, read_surface, run_tetwild
 
 if TYPE_CHECKING:
     from odt_plugins.report.report import Report
@@ -108,16 +109,13 @@ def _radius_ratio(meshes: Any, values: Mapping[str, Any]) -> Effect:
 def _tetrahedralize(meshes: Any, values: Mapping[str, Any]) -> Effect:
     surface = meshes.current_mesh()
     length = diagonal(meshes)
-    given = {
-        "vertices": np.array(surface.vertex_matrix()),
-        "faces": np.array(surface.face_matrix()),
+    given = read_surface(*_arrays(meshes)) | {
         "edge_length_fac": values["targetlen"] / length,
         "epsilon": values["maxsurfdist"] / length,
         "vtk_ordering": True,
         "disable_filtering": False,
     }
     options = _options(values, length)
-    check_surface(given["vertices"], given["faces"])
     try:
         tets = run_tetwild(given)
     except (RuntimeError, ValueError) as exc:
@@ -223,11 +221,12 @@ def _new_rows(old: NDArray[np.int32], new: NDArray[np.int32]) -> int:
 
 
 def diagonal(meshes: Any) -> float:
-    """Length of the diagonal of the current mesh's bounding box, 1 where it has none.
+    """Length of the diagonal of the box around the current mesh's faces, 1 where it has none.
 
     Vertices without finite coordinates do not count: what refuses these names them.
     """
-    points = meshes.current_mesh().vertex_matrix()
+    points, faces = _arrays(meshes)
+    points = points[vertices_of(faces)]
     points = points[np.isfinite(points).all(axis=1)]
     sides = points.max(axis=0) - points.min(axis=0) if len(points) else np.zeros(3)
     return float(np.sqrt((sides**2).sum())) or 1.0

@@ -386,6 +386,25 @@ def test_vertices_without_finite_coordinates_are_named(name):
         meshes.apply_filter(name)
 
 
+def test_vertices_of_no_face_change_no_lengths(monkeypatch):
+    points, faces = state(sphere())
+    calls = []
+    for more in (0, 1):
+        meshes = pymeshlab.MeshSet()
+        stray = np.concatenate([points, np.full((more, 3), 99.0)])
+        meshes.add_mesh(pymeshlab.Mesh(stray, faces))
+        monkeypatch.setattr(
+            pymeshlab_work, "remesh_with_report", lambda *_, **how: calls.append(how) or 1 / 0)
+        with pytest.raises(ZeroDivisionError):
+            meshes.meshing_odt_remeshing(maxsurfdist=pymeshlab.PureValue(0.1))
+        monkeypatch.setattr(
+            pymeshlab_work, "run_tetwild", lambda given: calls.append(given) or 1 / 0)
+        with pytest.raises(ZeroDivisionError):
+            meshes.generate_odt_tetrahedralization(targetlen=pymeshlab.PureValue(0.5))
+    for one, other in zip(calls[:2], calls[2:], strict=True):
+        assert repr(one) == repr(other)
+
+
 def test_the_filter_script_of_a_set_holds_our_filters_and_runs_them(tmp_path):
     meshes = flat_set()
     meshes.apply_coord_taubin_smoothing(stepsmoothnum=1)
