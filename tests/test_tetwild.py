@@ -158,7 +158,9 @@ def test_what_pytetwild_refuses_comes_through():
 def test_a_mesh_of_a_toolkit_in_place_of_arrays_is_refused(package, name, hint):
     mesh = getattr(pytest.importorskip(package), name)(*[CUBE] * (package == "numpy"))
     for call in (odt_plugins.tetrahedralize, odt_plugins.tetrahedralize_with_report):
-        with pytest.raises(UnsupportedMeshError, match=f"without faces; expected arrays.*{hint}$"):
+        with pytest.raises(
+            UnsupportedMeshError, match=f"as vertices, without faces; expected arrays.*{hint}$",
+        ):
             call(mesh)
 
 

@@ -175,8 +175,8 @@ def _expect_faces(vertices: Any, faces: Any) -> None:
     if faces is None:
         kind = type(vertices)
         hint = OF_TOOLKITS.get(kind.__module__.partition(".")[0], "those of the mesh")
-        msg = (f"got a {kind.__name__} without faces; expected arrays of vertices and of faces, or "
-               f"the path of a file, try {hint}")
+        msg = (f"got a {kind.__name__} as vertices, without faces; expected arrays of both, or the "
+               f"path of a file, try {hint}")
         raise UnsupportedMeshError(msg)
 
 
