@@ -29,6 +29,9 @@ GROUPS = ("gmsh:physical", "netgen:index")
 LABELS = (*GROUPS, *REGION_ARRAYS, "exodus:block", "su2:tag")
 """Arrays of labels that become sets, before others whose name tells that they are labels."""
 
+OF_SETS = "abaqus:elset"
+"""One of these that a reader makes of the sets, which tell it."""
+
 KINDS = ("Point", "Line", "Surface", "Volume")
 """What sets of labels are called, by dimension, as Gmsh calls its entities in such files."""
 
@@ -125,6 +128,12 @@ def as_sets(mesh: Any, name: str, *, masks: bool = True) -> tuple[Any, list[str]
         return mesh, became
     found = {key: numbers for key, values in mesh.cell_data.items()
              if (numbers := numbers_of(key, values)) and are_few(numbers)}
+    if OF_SETS in found and titles and _tell([np.concatenate([
+            mask_of(rows, len(block.data))
+            for rows, block in zip(mesh.cell_sets[title], mesh.cells, strict=True)])
+            for title in titles], np.concatenate(found[OF_SETS])):
+        mesh = mesh.copy()
+        del mesh.cell_data[OF_SETS], found[OF_SETS]
     others = sorted(filter(is_known, found), key=lambda key: are_one(found[key]))
     label = next((key for key in (*LABELS, *others) if key in found), None)
     if label is None:

@@ -396,3 +396,27 @@ def test_labels_are_sets_beside_an_array_of_0_and_1_that_does_not_tell_them(suff
             if name != "triangle"} == {
         "Volume7": left.sum(), "Volume9": (~left).sum(), **overlapping}
     assert not back.point_sets
+
+
+@pytest.mark.parametrize("name", [".inp", ".cgns", ".f3grid"])
+def test_labels_that_a_reader_made_of_sets_are_lost_only_where_these_do_not_tell_them(
+    name, tmp_path,
+):
+    deck = [f"*SOLID SECTION, ELSET={body}, MATERIAL={body}\n" for body in ("oil", "steel")]
+    mesh, left, _ = two_bodies()
+    write_file(tmp_path / "a.inp", mesh)
+    with (tmp_path / "a.inp").open("a") as file:
+        file.writelines(deck)
+    found = read_file(tmp_path / "a.inp")
+    assert set(np.concatenate(found.cell_data["abaqus:elset"][:1])) == {1, 2}
+    plain = meshio.Mesh(found.points, found.cells, cell_data=found.cell_data,
+                        cell_sets=found.cell_sets)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        write_file(tmp_path / f"b{name}", plain)
+    assert not [w for w in caught if "abaqus:elset" in str(w.message)]
+    back = read_file(tmp_path / f"b{name}")
+    assert np.array_equal(np.concatenate(back.cell_sets["oil"]), np.flatnonzero(left))
+    plain.cell_data["abaqus:elset"][0][-1] = 9
+    with pytest.warns(match="abaqus:elset"):
+        write_file(tmp_path / f"c{name}", plain)

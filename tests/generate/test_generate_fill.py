@@ -113,6 +113,22 @@ def test_sets_of_faces_become_sets_of_facets(place, monkeypatch):
         assert np.array_equal(out.cell_sets[name][1], np.flatnonzero(truth == side))
 
 
+def test_sets_with_sections_of_abaqus_are_kept_without_a_word_of_their_labels(place):
+    mesh = surface()
+    mesh.cell_sets = {f"side{i}": [np.flatnonzero(i == SIDE)] for i in range(1, 7)}
+    files.write_file("part.inp", mesh)
+    with open("part.inp", "a") as file:
+        file.writelines(f"*SHELL SECTION, ELSET=side{i}, MATERIAL=m\n1.0\n" for i in range(1, 7))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        odt_plugins.tetrahedralize("part.inp", target="out.inp")
+    assert not [w for w in caught if "abaqus:elset" in str(w.message)]
+    out = files.read_file("out.inp")
+    truth = side_of(out.points, out.cells[1].data)
+    for i in range(1, 7):
+        assert np.array_equal(out.cell_sets[f"side{i}"][1], np.flatnonzero(truth == i))
+
+
 def test_a_surface_without_labels_gives_tetrahedra_alone(place):
     surface().write("part.stl")
     _, report = odt_plugins.tetrahedralize_with_report("part.stl", target="out.vtu",
