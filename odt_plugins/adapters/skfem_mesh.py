@@ -184,7 +184,8 @@ def _moved_facets(
     """Facets in the numbering of another mesh, with their orientation if they have one.
 
     They point out of elements with the labels of those that the old ones point out of, between
-    elements of one label in the direction of the old ones.
+    elements of one label in the direction of the old ones. Those of the outer boundary that point
+    into the mesh still do.
 
     Parameters
     ----------
@@ -205,16 +206,20 @@ def _moved_facets(
     was = _outward(old, facets, side)[:, now.source]
     turned = (was * _outward(new, found, np.zeros_like(found))).sum(axis=0) < 0.0
     behind, before = old.f2t[side, facets], old.f2t[1 - side, facets]
-    own, others = labels[0][behind], labels[0][before[before >= 0]]
-    first, second = labels[1][new.f2t[:, found]]
+    # There is no element beyond the outer boundary, where facets may point into the mesh.
+    own, others = np.where(behind >= 0, labels[0][behind], -1), labels[0][before[before >= 0]]
+    beyond, inward = new.f2t[1, found] < 0, behind < 0
+    first, second = np.where(new.f2t[:, found] >= 0, labels[1][new.f2t[:, found]], -1)
     near = own[now.source]
     turned = np.where((first != second) & ((first == near) | (second == near)), second == near,
                       turned)
+    turned = np.where(beyond, inward[now.source], turned)
     # Labels on one side of all of them tell the side where another subdomain parts that one.
+    own = own[~inward]
     score = (np.isin([second, first], np.setdiff1d(own, others)).astype(np.int64)
              + np.isin([first, second], np.setdiff1d(others, own)))
     turned = np.where(score[0] == score[1], turned, score[0] > score[1])
-    turned &= new.f2t[1, found] >= 0
+    turned &= ~beyond | inward.any()
     return kind(found, turned.astype(np.asarray(sides).dtype))
 
 

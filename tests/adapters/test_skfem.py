@@ -184,6 +184,20 @@ def test_resized_boundaries_point_out_of_a_subdomain_that_another_one_parts(seed
             == dict(zip(wanted.tolist(), wanted.ori.tolist(), strict=True)))
 
 
+@pytest.mark.parametrize("change", [
+    odt_plugins.optimize, lambda mesh: odt_plugins.remesh(mesh, scale=0.8)])
+@pytest.mark.parametrize("kind", [skfem.MeshTri, skfem.MeshTet])
+@pytest.mark.parametrize("high", [False, True])
+def test_boundaries_that_point_into_their_subdomain_still_do(kind, high, change):
+    mesh = kind().refined(3)
+    mesh = mesh.with_subdomains({"part": lambda x: (x[0] < 0.5) ^ high})
+    mesh = mesh.with_boundaries({"around": mesh.facets_around("part", flip=True)})
+    out = change(mesh)
+    found, wanted = out.boundaries["around"], out.facets_around("part", flip=True)
+    assert (dict(zip(found.tolist(), found.ori.tolist(), strict=True))
+            == dict(zip(wanted.tolist(), wanted.ori.tolist(), strict=True)))
+
+
 @pytest.mark.parametrize("resize", [False, True])
 def test_subdomains_and_boundaries_may_be_masks_and_lists(resize):
     points, cells, _ = contract.grid(3, 5)
