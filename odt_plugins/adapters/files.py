@@ -73,8 +73,8 @@ CELLS = r"(?:line|triangle|quad|tetra|pyramid|wedge|hexahedron)\d+"
 """What types of cells of higher order are called."""
 
 PROBE = 1 << 16
-"""Bytes added to a file that was not written, with twice those of its mesh, to see whether the
-system lets it grow."""
+"""Bytes added to a file that was not written, up to 20 times those of its points, to see whether
+the system lets it grow."""
 
 
 def matches(mesh: object) -> bool:
@@ -525,8 +525,8 @@ def _refused(exc: Exception, path: Path, mesh: Any) -> OSError | None:
         return OSError(number, os.strerror(number))
     try:
         with path.open("ab") as file:
-            file.write(bytes(PROBE + 2 * sum(
-                part.nbytes for part in (mesh.points, *(block.data for block in mesh.cells)))))
+            for _ in range(1 + 20 * mesh.points.nbytes // PROBE):
+                file.write(bytes(PROBE))
     except OSError as system:
         return system
     return None

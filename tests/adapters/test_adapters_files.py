@@ -404,3 +404,12 @@ def test_writing_does_not_change_the_mesh(tmp_path):
     assert sorted(mesh.cell_sets) == ["some"]
     assert sorted(mesh.cell_data) == sorted(old.cell_data)
     assert np.array_equal(mesh.points, old.points)
+
+
+@pytest.mark.parametrize("suffix", [".vtu", ".msh", ".inp", ".med"])
+def test_cells_of_many_faces_are_refused_by_a_sentence(tmp_path, suffix):
+    points, faces = np.eye(4, 3), [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]
+    mesh = meshio.Mesh(points, [("tetra", np.array([[0, 1, 2, 3]])), ("polyhedron4", [faces])])
+    with pytest.raises(MeshFileError, match="cannot write out"):
+        files.write_file(tmp_path / f"out{suffix}", mesh)
+    assert not [*tmp_path.iterdir()]
