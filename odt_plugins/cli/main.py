@@ -7,13 +7,13 @@ import json
 import os
 import signal
 import sys
+import tempfile
 import time
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
-from tempfile import gettempdir
 from typing import Any
 
 import click
@@ -89,10 +89,12 @@ def main(argv: Sequence[str] | None = None) -> int:
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             return COULD_NOT
         except OSError as exc:
-            if exc.errno != errno.ENOSPC:
+            nowhere = "usable temporary directory" in str(exc.strerror)
+            if exc.errno not in (errno.ENOSPC, errno.EDQUOT) and not nowhere:
                 raise
-            return _fail(f"cannot write: {exc.strerror}; try more room in {gettempdir()}, or in "
-                         "another folder that TMPDIR names", COULD_NOT)
+            return _fail(f"cannot write: {exc.strerror}; try more room in "
+                         f"{tempfile.tempdir or 'one of them'}, or in another folder that TMPDIR "
+                         "names", COULD_NOT)
         except MemoryError:
             return _fail("not enough memory for a mesh of this size", COULD_NOT)
     return code if isinstance(code, int) else DONE

@@ -9,6 +9,7 @@ import re
 import signal
 import subprocess
 import sys
+import tempfile
 import textwrap
 import time
 from collections.abc import Callable, Iterator
@@ -553,19 +554,25 @@ def test_a_reader_that_closes_the_pipe_gets_no_traceback(place: Path) -> None:
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.parametrize(("owner", "name", "number", "words"), [
+    (Path, "write_bytes", errno.ENOSPC, os.strerror(errno.ENOSPC)),
+    (Path, "write_bytes", errno.EDQUOT, os.strerror(errno.EDQUOT)),
+    (tempfile, "gettempdir", errno.ENOENT, "No usable temporary directory found in ['/tmp']"),
+])
 def test_a_temporary_folder_without_room_is_told(
-    place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+    place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], owner: Any,
+    name: str, number: int, words: str,
 ) -> None:
     def full(*_: Any) -> None:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        raise OSError(number, words)
 
-    monkeypatch.setattr(Path, "write_bytes", full)
+    monkeypatch.setattr(owner, name, full)
     faces = [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]
     corners = np.vstack([np.zeros(3), np.eye(3)])
     meshio.write(place / "skin.vtu", meshio.Mesh(corners, [("triangle", np.array(faces))]))
     assert cli.main(["tetrahedralize", str(place / "skin.vtu"), str(place / "out.vtu")]) == 1
     said = capsys.readouterr().err
-    assert said.startswith("odt-plugins: cannot write: No space left on device; try more room in")
+    assert said.startswith(f"odt-plugins: cannot write: {words}; try more room in")
     assert len(said.splitlines()) == 1
 
 
