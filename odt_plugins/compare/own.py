@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,7 @@ from odt_plugins.adapters import files
 from odt_plugins.adapters.regions import AUTO
 from odt_plugins.compare.contestants import KINDS, OWN, Contestant
 from odt_plugins.compare.runner import Run
-from odt_plugins.compare.start import Kind, StartMesh
+from odt_plugins.compare.start import Kind, StartMesh, plain_name
 from odt_plugins.errors import writing
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.plane import plane_frame
@@ -58,7 +57,7 @@ def keep_mesh(
     ------
     MeshFileError    it cannot be written
     """
-    words = re.sub(r"[^\w.+-]+", "-", f"{start.name}-{name}").strip("-")
+    words = plain_name(f"{start.name}-{name}")
     with writing(f"into {folder}", "another --keep"):
         folder.mkdir(parents=True, exist_ok=True)
     space = points if start.frame is None else start.frame.to_space(points)

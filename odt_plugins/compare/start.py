@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from importlib.resources import as_file, files
@@ -121,15 +122,20 @@ def stored(name: str) -> StartMesh:
         return replace(read_start(path), name=name, origin=STORED[name])
 
 
+def plain_name(name: str) -> str:
+    """A name for files: what these should not have is a "-"."""
+    return re.sub(r"[^\w.+-]+", "-", name).strip("-")
+
+
 def distinct(starts: Iterable[StartMesh]) -> list[StartMesh]:
     """The same meshes; one with the name of another before it has a number behind its own."""
     out: dict[str, StartMesh] = {}
     for start in starts:
         name, count = start.name, 1
-        while name in out:
+        while plain_name(name) in out:
             count += 1
             name = f"{start.name}-{count}"
-        out[name] = replace(start, name=name)
+        out[plain_name(name)] = replace(start, name=name)
     return list(out.values())
 
 

@@ -179,6 +179,19 @@ def test_meshes_and_results_with_the_same_name_are_kept_apart(tmp_path, monkeypa
         read_file(tmp_path / "kept" / "part-b-part.vtu.vtu").points)
 
 
+def test_meshes_whose_files_would_have_one_name_are_kept_apart(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name, count in (("my part", 60), ("my-part", 80)):
+        start = ball(count)
+        write_arrays(f"{name}.vtu", start.points, start.cells)
+    words = ["--repeats", "1", "--no-poisson", "--against", "Laplacian", "--keep", "kept"]
+    done = CliRunner().invoke(cli, ["compare", "my part.vtu", "my-part.vtu", *words])
+    assert done.exit_code == 0, done.output
+    for kept, name in (("my-part", "my part"), ("my-part-2", "my-part")):
+        there, back = read_file(f"{name}.vtu"), read_file(f"kept/{kept}-start.vtu")
+        assert np.array_equal(back.points, there.points)
+
+
 def test_a_result_in_an_oblique_plane_is_seen_in_the_plane_of_its_start(tmp_path):
     flat = plate(60)
     turn = np.linalg.qr(np.random.default_rng(4).normal(size=(3, 3)))[0]
