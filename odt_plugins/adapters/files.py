@@ -164,7 +164,7 @@ def expect_same_kind(mesh: Any, target: str | os.PathLike[str]) -> None:
     scene = (Path(mesh).suffix.lower() in scene_files.SUFFIXES if matches(mesh)
              else trimesh_scene.matches(mesh))
     if scene != (Path(target).suffix.lower() in scene_files.SUFFIXES):
-        what, other = ("a scene", ".glb") if scene else ("a single mesh", ".ply")
+        what, other = ("a scene", ".glb") if scene else ("a single mesh", ".ply or .vtu")
         msg = f"cannot write {what} to {target}; try a {other} file"
         raise MeshFileError(msg)
     name = chosen_format(Path(target))[0]
