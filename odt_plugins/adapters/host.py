@@ -245,8 +245,8 @@ class NewVertices(NamedTuple):
         `field`. For one that was added, floating-point numbers and colours are interpolated
         linearly, of anything else the value of the nearest corner is taken. Where all vertices
         inside had one value, as markers of the boundary have, those that come inside have it too,
-        and others that of a corner as far inside as they are, if there is one. Those whose
-        integrals stay are there already.
+        and others that of a corner as far inside as they are, if there is one; of two as near one
+        without a marker, 0. Those whose integrals stay are there already.
         """
         if name in self.conserved:
             return self.conserved[name].reshape(-1, *values.shape[1:])
@@ -262,6 +262,9 @@ class NewVertices(NamedTuple):
             depths = None
         if depths is not None:
             near = self._deepest(*depths)
+            if values.ndim == 1 and values.dtype.kind in "biu":
+                tied = near == near.max(axis=1, keepdims=True)
+                near = np.where(tied, at_corners == 0, -1.0)
         out[self.placed[added]] = at_corners[np.arange(len(near)), near.argmax(axis=1)][added]
         was, now = depths or (np.zeros(0), np.zeros(0))
         for depth in (INTERFACE, INSIDE) if depths is not None else ():

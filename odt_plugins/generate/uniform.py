@@ -6,6 +6,7 @@ from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from odt_plugins.adapters import arrays, files, meshio_mesh, pyvista_mesh
 from odt_plugins.adapters.host import (
@@ -19,6 +20,7 @@ from odt_plugins.adapters.host import (
     as_indices,
     is_instance,
 )
+from odt_plugins.adapters.point_sets import depths
 from odt_plugins.adapters.registry import find_adapter
 from odt_plugins.errors import UnsupportedMeshError
 from odt_plugins.generate.refine3d import check_size, red_refinement, refined_rows
@@ -48,7 +50,8 @@ def uniform_refine(mesh: MeshT) -> MeshT:
         the ends of their edges, lower first. The parts of a cell stand in its place, oriented like
         it, with its data and labels, and so do those of vertices, lines and boundary triangles
         beside the cells. Point data that are floating-point numbers are interpolated, others are
-        those of the lower end; a mid-point is in a point set when both ends are.
+        those of the lower end, but markers of the boundary, or of a side of it, mark no mid-points
+        beside or inside; a mid-point is in a point set when both ends are.
 
     Raises
     ------
@@ -85,17 +88,23 @@ def uniform_refine(mesh: MeshT) -> MeshT:
     refined = red_refinement(p, t)
     points = refined.points.astype(host.points.dtype)
     added = len(refined.edges)
+    source = np.repeat(np.arange(len(t), dtype=np.int32), len(refined.cells) // len(t))
+
+    def both() -> tuple[NDArray[np.int8], NDArray[np.int8]]:
+        labels = host.regions
+        now = depths(points, refined.cells, None if labels is None else labels[source])
+        return depths(p, t, labels), now[n:]
+
     vertices = NewVertices(
         np.concatenate([np.arange(n), np.full(added, -1)]),
         np.arange(n),
         n + np.arange(added),
         refined.edges.astype(np.int32),
         np.full((added, 2), 0.5),
+        depths=both,
     )
-    parts = len(refined.cells) // len(t)
     result = Result(
-        points, as_indices(refined.cells, host.cells),
-        np.repeat(np.arange(len(t), dtype=np.int32), parts),
+        points, as_indices(refined.cells, host.cells), source,
         vertices=vertices, split=partial(refined_rows, edges=refined.edges, n=n),
     )
     return adapter.write(result, host)

@@ -8,7 +8,7 @@ import pytest
 import pyvista
 from boxes import box, quadratic
 
-from odt_plugins import remesh
+from odt_plugins import refine, remesh
 
 
 def on_rim(points):
@@ -56,3 +56,15 @@ def test_new_vertices_beside_a_side_have_no_marker_of_that_side(kind):
     made = remesh(meshio.Mesh(points, [(name[cells.shape[1]], cells)], point_data=marks), scale=0.6)
     assert len(made.points) > 1.3 * len(points)
     assert np.array_equal(made.point_data["left"], np.isclose(made.points[:, 0], 0.0, atol=1e-3))
+
+
+@pytest.mark.parametrize("optimize", [False, True])
+def test_mid_points_have_markers_of_their_own_sides_alone(optimize):
+    points, cells = box(3, 4)
+    side = points[:, 0] == 0.0
+    mesh = pyvista.UnstructuredGrid({10: cells}, points)
+    mesh.point_data.update({"bc": on_rim(points) * 7, "side": side})
+    made = refine(mesh, optimize=optimize)
+    places = np.asarray(made.points)
+    assert np.array_equal(made.point_data["bc"], on_rim(places) * 7)
+    assert np.array_equal(made.point_data["side"], places[:, 0] == 0.0)
