@@ -451,13 +451,19 @@ def _anew(dim: int, old: dict[Entity, Part], new: dict[Entity, Part]) -> list[En
 
     Gmsh deletes the nodes of an entity that is cleared, of whichever elements they are.
     """
+    owner = np.repeat(np.arange(len(old)), [len(part.tags) for part in old.values()])
+    tags = np.concatenate([part.tags for part in old.values()])
+    order = np.argsort(tags)
+    keys = list(old)
+    tags, owner = tags[order], owner[order]
+    under = {key: {keys[i] for elements in part.elements for i in np.unique(
+        owner.take(np.searchsorted(tags, elements.nodes.ravel()), mode="clip"))}
+        for key, part in old.items()}
     anew = {key for key in old if key[0] == dim or not _alike(old[key], new[key])}
     count = 0
     while count < len(anew):
         count = len(anew)
-        gone = np.concatenate([old[key].tags for key in anew])
-        anew |= {key for key, part in old.items() if key not in anew and any(
-            np.isin(elements.nodes, gone).any() for elements in part.elements)}
+        anew |= {key for key in old if under[key] & anew}
     return sorted(anew, reverse=True)
 
 
