@@ -245,8 +245,8 @@ class NewVertices(NamedTuple):
         `field`. For one that was added, floating-point numbers and colours are interpolated
         linearly, of anything else the value of the nearest corner is taken. Where all vertices
         inside had one value, as markers of the boundary have, those that come inside have it too,
-        and others that of a corner as far inside as they are, if there is one; of two as near one
-        without a marker, 0. Those whose integrals stay are there already.
+        and others that of a corner as far inside as they are, if there is one; where two are as
+        near, that of one without a marker, 0. Those whose integrals stay are there already.
         """
         if name in self.conserved:
             return self.conserved[name].reshape(-1, *values.shape[1:])

@@ -19,7 +19,7 @@ from odt_plugins.compare.measures import further
 from odt_plugins.compare.own import keep_mesh, of_file
 from odt_plugins.compare.poisson import PoissonFigures, solve_poisson
 from odt_plugins.compare.runner import Limits, Run, run_contestant
-from odt_plugins.compare.start import StartMesh
+from odt_plugins.compare.start import StartMesh, distinct
 from odt_plugins.errors import InvalidMeshError, MissingDependencyError
 from odt_plugins.figures import QualitySummary, cell_figures, summarize
 from odt_plugins.generate.clouds import SEED
@@ -172,8 +172,10 @@ def compare_on(
     """
     before = measure_mesh(start, start.points, start.cells, start.regions, poisson=poisson)
     names = [path.name for path in results]
-    files = [(replace(who, name=str(path)) if names.count(path.name) > 1 else who, run)
-             for path in results for who, run in [of_file(path, start)]]
+    found = [of_file(path, start) for path in results]
+    own = distinct(replace(who, name=str(path)) if names.count(path.name) > 1 else who
+                   for path, (who, _) in zip(results, found, strict=True))
+    files = zip(own, [run for _, run in found], strict=True)
     if keep is not None:
         keep_mesh(keep, start, "start", start.points, start.cells, start.regions)
     rows = []
@@ -208,18 +210,18 @@ def make_row(
               limits.threads, SEED, run.status, run.message)
     if run.status != "ok":
         return row
+    prints = {_fingerprint(*mesh) for mesh in run.meshes}
+    others = run.meshes[1:] if len(prints) > 1 else []
     try:
         measured = measure_mesh(start, *run.meshes[0], poisson=poisson)
+        means = [measured.summary.mean_quality,
+                 *(oriented(start, *mesh)[1].mean_quality for mesh in others)]
     except (InvalidMeshError, MissingDependencyError) as exc:
         return replace(row, status="failed", message=str(exc))
     # Whatever a tool returns, such as coordinates of 1e300, is a row.
     except Exception as exc:
         message = f"its mesh cannot be measured: {type(exc).__name__}: {exc}"
         return replace(row, status="failed", message=message)
-    prints = {_fingerprint(*mesh) for mesh in run.meshes}
-    means = [measured.summary.mean_quality]
-    if len(prints) > 1:
-        means += [oriented(start, *mesh)[1].mean_quality for mesh in run.meshes[1:]]
     if not run.facts:
         return replace(row, measured=measured)
     facts = run.facts

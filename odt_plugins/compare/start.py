@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from importlib.resources import as_file, files
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,8 @@ from odt_plugins.mesh.plane import PlaneFrame, plane_frame
 from odt_plugins.mesh.simplex import compact_labels, mesh_arrays, reverse, simplex_mesh
 
 Kind = Literal["tets", "planar", "surface"]
+
+Named = TypeVar("Named", bound=Any)
 
 STORED = {
     "bunny": "TetWild's mesh of the Stanford bunny",
@@ -127,15 +129,15 @@ def plain_name(name: str) -> str:
     return re.sub(r"[^\w.+-]+", "-", name).strip("-")
 
 
-def distinct(starts: Iterable[StartMesh]) -> list[StartMesh]:
-    """The same meshes; one with the name of another before it has a number behind its own."""
-    out: dict[str, StartMesh] = {}
-    for start in starts:
-        name, count = start.name, 1
+def distinct(named: Iterable[Named]) -> list[Named]:
+    """The same meshes or results; a name that a file before has already has a number behind it."""
+    out: dict[str, Named] = {}
+    for one in named:
+        name, count = one.name, 1
         while plain_name(name) in out:
             count += 1
-            name = f"{start.name}-{count}"
-        out[plain_name(name)] = replace(start, name=name)
+            name = f"{one.name}-{count}"
+        out[plain_name(name)] = replace(one, name=name)
     return list(out.values())
 
 

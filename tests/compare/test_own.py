@@ -190,6 +190,12 @@ def test_meshes_whose_files_would_have_one_name_are_kept_apart(tmp_path, monkeyp
     for kept, name in (("my-part", "my part"), ("my-part-2", "my-part")):
         there, back = read_file(f"{name}.vtu"), read_file(f"kept/{kept}-start.vtu")
         assert np.array_equal(back.points, there.points)
+    done = CliRunner().invoke(cli, ["compare", "my part.vtu", *words, "--result", "my part.vtu",
+                                    "--result", "my-part.vtu"])
+    assert done.exit_code == 0, done.output
+    for kept, name in (("my-part.vtu", "my part"), ("my-part.vtu-2", "my-part")):
+        there, back = read_file(f"{name}.vtu"), read_file(f"kept/my-part-{kept}.vtu")
+        assert len(back.points) == len(there.points)
 
 
 def test_a_result_in_an_oblique_plane_is_seen_in_the_plane_of_its_start(tmp_path):
