@@ -18,6 +18,8 @@ from odt_plugins.errors import InvalidMeshError, InvalidOptionError
 from odt_plugins.mesh.cell_geometry import CellGeometry
 from odt_plugins.mesh.chunks import chunks, spread
 from odt_plugins.mesh.quantiles import quantile
+from odt_plugins.mesh.seen import as_seen
+from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.table import table_html, table_lines
 
 FloatArray = NDArray[np.float64]
@@ -271,6 +273,22 @@ def cell_figures(points: ArrayLike, cells: ArrayLike, threads: int = 1) -> CellF
 
     spread(measure, chunks(len(t)), threads)
     return figures
+
+
+def figures_of(mesh: SimplexMesh, threads: int = 1) -> CellFigures:
+    """Measure every cell of a mesh as its metric sees it, once: the arrays of a mesh stay."""
+    known = vars(mesh)
+    if "figures" not in known:
+        known["figures"] = cell_figures(*as_seen(mesh.points, mesh.cells, mesh.metric), threads)
+    figures: CellFigures = known["figures"]
+    return figures
+
+
+def volumes_of(mesh: SimplexMesh) -> FloatArray:
+    """Volumes or areas (m,) of the cells of a mesh, among its figures where those are at hand."""
+    if "figures" in vars(mesh) and not len(mesh.metric):
+        return figures_of(mesh).volume
+    return volumes(mesh.points, mesh.cells)
 
 
 def summarize(

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.errors import change
-from odt_plugins.figures import volumes
+from odt_plugins.figures import CellFigures, volumes, volumes_of
 from odt_plugins.mesh.facets import uneven_facets
 from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.promise.volume import VOLUME
@@ -14,17 +14,20 @@ from odt_plugins.promise.volume import VOLUME
 
 def broken_sizes(
     before: SimplexMesh, points: NDArray[np.float64], cells: NDArray[np.int32],
-    regions: NDArray[np.int32],
+    regions: NDArray[np.int32], figures: CellFigures | None = None,
 ) -> list[str]:
-    """Say of which regions the area or volume changed by more than VOLUME of it."""
+    """Say of which regions the area or volume changed by more than VOLUME of it.
+
+    ``figures`` are those of the mesh without a metric, when they are at hand.
+    """
     size = "area" if before.dim == 2 else "volume"
     return [f"the {size} of region {label} went {change(first, last)}"
-            for label, first, last in other_sizes(before, points, cells, regions)]
+            for label, first, last in other_sizes(before, points, cells, regions, figures)]
 
 
 def other_sizes(
     before: SimplexMesh, points: NDArray[np.float64], cells: NDArray[np.int32],
-    regions: NDArray[np.int32],
+    regions: NDArray[np.int32], figures: CellFigures | None = None,
 ) -> list[tuple[int, float, float]]:
     """Regions whose area or volume changed by more than VOLUME of it, with both.
 
@@ -35,8 +38,9 @@ def other_sizes(
     labels, own = np.unique(was, return_inverse=True)
     place = np.minimum(np.searchsorted(labels, now), len(labels) - 1)
     there = labels[place] == now
-    first = np.bincount(own.ravel(), volumes(before.points, before.cells), len(labels))
-    last = np.bincount(place[there], volumes(points, cells[there]), len(labels))
+    first = np.bincount(own.ravel(), volumes_of(before), len(labels))
+    size = volumes(points, cells) if figures is None else figures.volume
+    last = np.bincount(place[there], size[there], len(labels))
     others = []
     for k in np.flatnonzero(~(np.abs(last - first) <= VOLUME * first)).tolist():
         most = VOLUME * first[k]

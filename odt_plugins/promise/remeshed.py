@@ -5,14 +5,14 @@ Distances are not looked at here, nor whether a surface cuts through itself.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import combinations
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.figures import cell_figures
+from odt_plugins.figures import CellFigures, cell_figures
 from odt_plugins.mesh.components import components
 from odt_plugins.mesh.faces import Faces, labels_at
 from odt_plugins.mesh.facets import row_keys, uneven_facets
@@ -48,6 +48,7 @@ def broken_by_remeshing(
     slides: bool,
     threads: int = 1,
     full: int = 0,
+    figures: Callable[[], CellFigures] | None = None,
 ) -> list[str]:
     """Say what of the promise does not hold for a mesh with other vertices.
 
@@ -65,6 +66,8 @@ def broken_by_remeshing(
     threads : int
     full : int                          cells to which they are filled up by good ones where figures
                                         are looked at, see ``promise.good.filled_up``
+    figures : callable                  gives those of the mesh without a metric, where they may be
+                                        at hand
 
     Returns
     -------
@@ -80,28 +83,28 @@ def broken_by_remeshing(
     share = max(0.0, len(points) / len(before.used) - 1.0) + 1.0
     if not slides:
         broken = broken_promises(before, points, cells, regions, (), origin=origin, insert=share,
-                                 threads=threads)
+                                 threads=threads, figures=figures)
         return broken or fallen_since(before, points, cells, metric, keep, full=full)
     broken = malformed_arrays(before, points, cells, regions, origin)
     if broken:
         return broken
-    figures = cell_figures(points, cells, threads)
+    found = cell_figures(points, cells, threads) if figures is None else figures()
     numbered, together = old_numbers(origin, len(before.points))[cells], in_old_numbers(
         before.points, points, origin)
     removed = removed_vertices(origin, len(before.points))
     held = {name: mask for name, mask in held_by(before).items()
             if name not in ("boundary", "interface")}
     new, overlaps = facet_census(cells, regions, len(points), uneven_facets(cells, len(points)))
-    bad = cells_not_positive(points, cells, figures)
+    bad = cells_not_positive(points, cells, found)
     if len(bad):
-        broken.append(f"cell {bad[0]} has volume {figures.volume[bad[0]]:.3g}, not positive "
+        broken.append(f"cell {bad[0]} has volume {found.volume[bad[0]]:.3g}, not positive "
                       f"({len(bad)} in all)")
     broken += came_and_went(before, numbered, removed, held, len(together))
     broken += moved_though_held(before, together, held, slides=True)
     broken += changed_use(held["unused"], numbered, removed, len(together))
     broken += overlapping_facets(overlaps)
     broken += thawed_cells(before, numbered, regions, len(together))
-    broken += fallen_since(before, points, cells, metric, keep, figures, full)
+    broken += fallen_since(before, points, cells, metric, keep, found, full)
     old = facet_census(before.cells, before.regions, len(before.points), before.uneven)[0]
     was, now = _pieces(old, before.faces[1]), _pieces(new, faces[1])
     broken += broken_lines(before.faces[0], faces[0], cells)
@@ -115,7 +118,7 @@ def broken_by_remeshing(
         if a != b:
             broken.append(f"region {label} has {b[0]} components and Euler characteristic {b[1]}; "
                           f"it had {a[0]} and {a[1]}")
-    return broken + broken_sizes(before, points, cells, regions)
+    return broken + broken_sizes(before, points, cells, regions, found)
 
 
 Piece = tuple[int, int, int]

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.figures import QualitySummary, summarize
+from odt_plugins.figures import figures_of, summarize
 from odt_plugins.mesh.components import components
 from odt_plugins.mesh.facets import row_keys
 from odt_plugins.mesh.seen import NO_METRIC, as_seen
@@ -37,7 +37,6 @@ def broken_surface_promises(
     *,
     lines: NDArray[np.integer] | None = None,
     held: NDArray[np.bool_] | None = None,
-    before_summary: QualitySummary | None = None,
     envelope: float = math.inf,
     metric: NDArray[np.float64] = NO_METRIC,
 ) -> list[str]:
@@ -50,7 +49,6 @@ def broken_surface_promises(
     keep : names of figures             none may be worse than before
     lines : (k, 2) int, optional        feature edges, which must still be edges
     held : (n,) bool, optional          corners and other vertices that must not have moved
-    before_summary : QualitySummary     of ``before``, when it is at hand already
     envelope : float                    length; folds lie no further from those of the input
     metric : (n, k) float64             of the metric in which figures are measured, no rows where
                                         there is none
@@ -85,7 +83,7 @@ def broken_surface_promises(
     broken += _thawed(before, cells, regions)
     broken += _folded(before.points, before.cells, old, points, cells, new, envelope)
     if keep:
-        was = before_summary or summarize(*as_seen(before.points, before.cells, before.metric))
+        was = summarize(before.points, before.cells, figures_of(before))
         broken += worse_figures(was, summarize(*as_seen(points, cells, metric)), keep)
     return broken
 

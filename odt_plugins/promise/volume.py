@@ -6,14 +6,20 @@ mesh it came from and says in plain sentences what does not hold.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.errors import change
-from odt_plugins.figures import CellFigures, QualitySummary, cell_figures, summarize
+from odt_plugins.figures import (
+    CellFigures,
+    QualitySummary,
+    cell_figures,
+    figures_of,
+    summarize,
+)
 from odt_plugins.mesh.chunks import chunks, spread
 from odt_plugins.mesh.exact import exact_sign, whole_numbers
 from odt_plugins.mesh.facets import row_keys, sorted_columns, uneven_facets
@@ -41,13 +47,13 @@ def broken_promises(
     cells: NDArray[np.int32],
     regions: NDArray[np.int32],
     keep: Sequence[str] = KEPT,
-    before_summary: QualitySummary | None = None,
     *,
     slides: bool = False,
     origin: NDArray[np.int64] | None = None,
     insert: bool | float = True,
     threads: int = 1,
     metric: NDArray[np.float64] = NO_METRIC,
+    figures: Callable[[], CellFigures] | None = None,
 ) -> list[str]:
     """Say what of the promise does not hold for an optimised mesh.
 
@@ -57,7 +63,6 @@ def broken_promises(
     points, cells, regions : arrays     (n, d), (m', d + 1), (m',): the mesh to be judged
     keep : names of figures             of :class:`QualitySummary`; none may be worse than
                                         before by more than 1e-12 of its size
-    before_summary : QualitySummary     of ``before``, when it is at hand already
     slides : bool                       whether the boundary may move and be flipped: then its
                                         vertices, topology and labels must be as before, and the
                                         volume nearly; distances are not looked at
@@ -67,6 +72,8 @@ def broken_promises(
     threads : int                       how many share the work
     metric : (n, k) float64              of the metric in which figures are measured, no rows where
                                         there is none
+    figures : callable                  gives those of the mesh without a metric, where they may be
+                                        at hand
 
     Returns
     -------
@@ -81,7 +88,7 @@ def broken_promises(
     broken = malformed_arrays(before, points, cells, regions, origin)
     if broken:
         return broken
-    figures = cell_figures(points, cells, threads)
+    found = cell_figures(points, cells, threads) if figures is None else figures()
     seen = as_seen(points, cells, metric)
     locked = _locked_before(before, before.regions)
     held = held_by(before, locked)
@@ -95,9 +102,9 @@ def broken_promises(
     now_locked, overlaps = facet_census(
         cells, regions, len(points), uneven_facets(cells, len(points), threads)
     )
-    bad = cells_not_positive(points, cells, figures)
+    bad = cells_not_positive(points, cells, found)
     if len(bad):
-        broken.append(f"cell {bad[0]} has {_size(before)} {figures.volume[bad[0]]:.3g}, "
+        broken.append(f"cell {bad[0]} has {_size(before)} {found.volume[bad[0]]:.3g}, "
                       f"not positive ({len(bad)} in all)")
     broken += moved_though_held(before, points, held, slides=slides)
     broken += changed_use(held["unused"], cells, removed, len(points))
@@ -108,9 +115,8 @@ def broken_promises(
     broken += _volume_changed(before, points, cells, regions, slides=slides, threads=threads)
     broken += thawed_cells(before, cells, regions, len(points))
     if keep:
-        was = as_seen(before.points, before.cells, before.metric)
-        old = before_summary or summarize(*was, cell_figures(*was, threads))
-        now = summarize(*seen, None if len(metric) else figures)
+        old = summarize(before.points, before.cells, figures_of(before, threads))
+        now = summarize(*seen, None if len(metric) else found)
         if before.valid_before is not None:
             valid = summarize(*before.valid_before)
             keep = [name for name in keep if worse_figures(valid, now, (name,))]

@@ -14,7 +14,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from odt_plugins.errors import UnsupportedMeshError
-from odt_plugins.figures import QualitySummary, cell_figures, summarize, volumes
+from odt_plugins.figures import (
+    QualitySummary,
+    cell_figures,
+    figures_of,
+    summarize,
+    volumes,
+    volumes_of,
+)
 from odt_plugins.mesh.numbering import in_old_numbers
 from odt_plugins.mesh.numbers import vertex_mask
 from odt_plugins.mesh.seen import as_seen
@@ -294,9 +301,10 @@ def make_report(
     nodes : int             points of the result, unless they are those of the outcome
     **told                  fields of the report that only the adapters know
     """
-    was = as_seen(before.points, before.cells, before.metric)
+    old = figures_of(before, options.threads)
     there = as_seen(outcome.points, outcome.cells, outcome.metric)
-    old, new = (cell_figures(*mesh, options.threads) for mesh in (was, there))
+    plain = None if len(outcome.metric) else outcome.figures(options.threads)
+    new = plain or cell_figures(*there, options.threads)
     used = np.zeros(len(before.points), bool)
     used[before.cells] = True
     n = len(before.points)
@@ -317,14 +325,15 @@ def make_report(
         counts["vertices removed"] = n + int(added.sum()) - len(added)
     after = replace(summarize(*there, new),
                     n_points=len(outcome.points) if nodes is None else nodes,
-                    volume=float(volumes(outcome.points, outcome.cells).sum()))
+                    volume=float((volumes(outcome.points, outcome.cells) if plain is None
+                                  else plain.volume).sum()))
     untangled = None
     if tangle is not None:
         untangled = {**tangle.facts, "worse": worse_than_valid(tangle, after, tuple(options.keep))}
     return Report(
         dim=before.dim,
-        before=replace(summarize(*was, old), turned=before.turned, n_points=n,
-                       volume=float(volumes(before.points, before.cells).sum())),
+        before=replace(summarize(before.points, before.cells, old), turned=before.turned,
+                       volume=float(volumes_of(before).sum())),
         after=after,
         histogram_before=histogram(old.quality),
         histogram_after=histogram(new.quality),

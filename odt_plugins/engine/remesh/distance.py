@@ -10,7 +10,7 @@ import numpy as np
 from odt_plugins.engine.cells.geometry import boundary_facets, signed_volumes
 from odt_plugins.engine.ground.crossings import count_crossings
 from odt_plugins.engine.ground.envelope import distances, uncovered, within
-from odt_plugins.engine.ground.reference import make_reference
+from odt_plugins.engine.ground.reference import Reference, make_reference
 from odt_plugins.engine.remesh.lay_out import surface_of
 from odt_plugins.engine.run.judge import TOLERANCE, Slid
 from odt_plugins.engine.run.outcome import Outcome
@@ -38,14 +38,22 @@ def too_far(what: str, envelope: float) -> Broken:
     return Broken(f"{what} from the input's, beyond the envelope of {envelope:.3g}", Kind.BEYOND)
 
 
-def furthest(mesh: SimplexMesh, outcome: Outcome, envelope: float) -> tuple[float, float]:
+Grounds = dict[tuple[int, ...], Reference]
+"""Pieces of surface and lines that distances are measured from, by what they lie between."""
+
+
+def grounds_of(mesh: SimplexMesh) -> Grounds:
+    """All pieces of surface of a mesh, and its lines with labels."""
+    return {pair: make_reference(mesh.points, rows) for pair, rows in _surfaces(mesh).items()}
+
+
+def furthest(old: Grounds, outcome: Outcome, envelope: float) -> tuple[float, float]:
     """How far surfaces and lines with labels are apart at most, both ways: the furthest pair."""
     forward = backward = 0.0
-    old, new = _surfaces(mesh), _surfaces(outcome)
-    for pair, rows in new.items():
+    for pair, rows in _surfaces(outcome).items():
         if pair not in old:
             return np.inf, np.inf
-        both = distances((outcome.points, rows), (mesh.points, old[pair]), TOLERANCE * envelope)
+        both = distances((outcome.points, rows), old[pair], TOLERANCE * envelope)
         forward, backward = max(forward, both.forward_upper), max(backward, both.backward_upper)
     return forward, backward
 
@@ -72,9 +80,11 @@ def _surfaces(mesh: SimplexMesh | Outcome) -> dict[tuple[int, ...], IntArray]:
         (label,): rows[labels == label][:, [0, 1, 1]] for label in np.unique(labels).tolist()}
 
 
-def beyond(mesh: SimplexMesh, outcome: Outcome, envelope: float) -> tuple[Broken | None, Slid]:
-    """What surfaces that were resized break, and how they slid."""
-    forward, backward = furthest(mesh, outcome, envelope)
+def beyond(
+    mesh: SimplexMesh, old: Grounds, outcome: Outcome, envelope: float
+) -> tuple[Broken | None, Slid]:
+    """What surfaces that were resized break, and how they slid; ``old`` are those of the mesh."""
+    forward, backward = furthest(old, outcome, envelope)
     origin: Any = outcome.origin
     kept = origin >= 0
     moved = (outcome.points[kept] != mesh.points[origin[kept]]).any(axis=1)

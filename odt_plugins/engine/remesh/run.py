@@ -16,7 +16,14 @@ from odt_plugins.engine.odt.rounds import Log
 from odt_plugins.engine.record.figures import figures
 from odt_plugins.engine.record.memory import State
 from odt_plugins.engine.remesh.chords import sizes_as_wished
-from odt_plugins.engine.remesh.distance import Broken, beyond, furthest, too_far
+from odt_plugins.engine.remesh.distance import (
+    Broken,
+    Grounds,
+    beyond,
+    furthest,
+    grounds_of,
+    too_far,
+)
 from odt_plugins.engine.remesh.finish import MORE, Resized, Room, finished, sums
 from odt_plugins.engine.remesh.lay_out import lay_out
 from odt_plugins.engine.remesh.notes import told_of_edges, told_of_fallen, told_of_triangles
@@ -352,8 +359,10 @@ def _once(
     resized, envelope = given.outcome, envelope_length(mesh, options)
     onto = mesh.smooth if share > 0.0 else None
     left = envelope
+    old: Grounds = {}
     if share > 0.0:
-        far = furthest(mesh, resized, envelope - mesh.sag)
+        old = grounds_of(mesh)
+        far = furthest(old, resized, envelope - mesh.sag)
         left = envelope - max(far[0], far[1]) - mesh.sag
         if not left > 0.0:
             return resized, too_far(f"the resized surface is {max(far):.3g}", envelope)
@@ -384,12 +393,12 @@ def _once(
     others = broken_by_remeshing(
         mesh, outcome.points, outcome.cells, outcome.regions, origin, tuple(options.keep),
         outcome.metric, outcome.faces, slides=share > 0.0, threads=options.threads,
-        full=attempt.full)
+        full=attempt.full, figures=partial(outcome.figures, options.threads))
     if others:
         return outcome, Broken(others[0])
     broken = None
     if share > 0.0:
-        broken, slid = beyond(mesh, outcome, envelope)
+        broken, slid = beyond(mesh, old, outcome, envelope)
         outcome = replace(outcome, slid=slid)
     notes = told_of_edges(outcome, given.lengths.mean() / LONGER, done.multiple)
     return replace(outcome, notes=notes + off), broken

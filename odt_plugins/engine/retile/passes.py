@@ -181,7 +181,8 @@ def edges_of(net: Net, since: int) -> tuple[IntArray, FloatArray, IntArray]:
     Also their lengths as parts of their sizes, and how many triangles they have.
     """
     triangles = net.triangles[: net.count[1]]
-    triangles = triangles[triangles[:, 0] >= 0]
+    used = triangles[:, 0] >= 0
+    triangles = triangles[used & (net.stamp[triangles] > since).any(axis=1)]
     a, b = triangles[:, [1, 2, 0]].ravel(), triangles[:, [2, 0, 1]].ravel()
     key = np.minimum(a, b).astype(np.int64) * len(net.points) + np.maximum(a, b)
     key, degree = np.unique(key, return_counts=True)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
 from odt_plugins.engine.cells.geometry import boundary_facets, signed_volumes
 from odt_plugins.errors import counted
+from odt_plugins.figures import CellFigures
 from odt_plugins.mesh.arrays import FloatArray, IntArray, LongArray
 from odt_plugins.mesh.numbering import in_old_numbers, old_numbers
 from odt_plugins.mesh.seen import NO_METRIC
@@ -79,6 +81,7 @@ def measure_slide(mesh: SimplexMesh, points: FloatArray, cells: IntArray, option
 def faults(
     mesh: SimplexMesh, points: FloatArray, cells: IntArray, regions: IntArray, options: Options,
     origin: LongArray | None = None, metric: FloatArray = NO_METRIC,
+    figures: Callable[[], CellFigures] | None = None,
 ) -> tuple[list[str], Slid | None]:
     """Say what of the promise does not hold, and how far the boundary slid if it may.
 
@@ -87,9 +90,10 @@ def faults(
     sliding = slides(mesh, options)
     broken = broken_promises(mesh, points, cells, regions, tuple(options.keep), slides=sliding,
                              origin=origin, insert=options.insert, threads=options.threads,
-                             metric=metric)
+                             metric=metric, figures=figures)
     if sliding:
-        broken += broken_sizes(mesh, points, cells, regions)
+        known = figures() if figures is not None and not broken else None
+        broken += broken_sizes(mesh, points, cells, regions, known)
     if broken or not sliding:
         return broken, None
     from odt_plugins.engine.ground.crossings import count_crossings

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.engine.run.judge import Slid
+from odt_plugins.figures import CellFigures, cell_figures
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.faces import Faces, no_faces
 from odt_plugins.mesh.simplex import SimplexMesh
@@ -42,6 +43,7 @@ class Outcome:
     notes : tuple of str            what the report says besides
     faces : (Faces, Faces)          those that the faces of the input have become
     metric : (n', k) float64         of the metric where the vertices are now, see ``SimplexMesh``
+    measured : tuple or None        points and cells whose :meth:`figures` are at hand, and those
     """
 
     points: FloatArray
@@ -61,6 +63,15 @@ class Outcome:
     notes: tuple[str, ...] = ()
     faces: tuple[Faces, Faces] = field(default_factory=no_faces)
     metric: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    measured: tuple[FloatArray, IntArray, CellFigures] | None = None
+
+    def figures(self, threads: int = 1) -> CellFigures:
+        """Measure every cell without a metric, once, also for outcomes with these very arrays."""
+        known = self.measured
+        if known is None or known[0] is not self.points or known[1] is not self.cells:
+            known = self.points, self.cells, cell_figures(self.points, self.cells, threads)
+            object.__setattr__(self, "measured", known)
+        return known[2]
 
 
 Leaving = Callable[[Outcome], Outcome]

@@ -163,6 +163,6 @@ def _judged(work: Work, leaving: Leaving, state: State) -> tuple[Outcome, list[s
     outcome = leaving(outcome)
     broken, slid = faults(
         start.mesh, outcome.points, outcome.cells, outcome.regions, work.options, outcome.origin,
-        outcome.metric,
+        outcome.metric, partial(outcome.figures, work.options.threads),
     )
     return replace(outcome, slid=slid), broken
