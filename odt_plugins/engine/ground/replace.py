@@ -58,12 +58,14 @@ def make_exchange() -> Exchange:
 
 @kernel
 def facing(
-    points: FloatArray, foot: IntArray, a: int, b: int, c: int, ground: Ground
+    points: FloatArray, foot: IntArray, a: int, b: int, c: int, ground: Ground, enough: float,
+    slack: float,
 ) -> float:
     """Cosine between the normal of (a, b, c) and that of the ground under its barycentre.
 
     The ground is reached from the feet of the corners, of which that counts where it is largest:
-    a foot on a crease may lie on the other side. -1 for a flat triangle.
+    a foot on a crease may lie on the other side. None is looked at any more where it is ``enough``
+    when ``slack`` is taken off. -1 for a flat triangle.
     """
     _, _, _, nx, ny, nz = triangle_in_space(points, a, b, c)
     length = math.sqrt(nx * nx + ny * ny + nz * nz)
@@ -75,6 +77,8 @@ def facing(
     z = (points[a, 2] + points[b, 2] + points[c, 2]) / 3.0
     n = ground.normals
     for corner in range(3):
+        if best - slack >= enough:
+            break
         v = a if corner == 0 else (b if corner == 1 else c)
         _, face, _, _, _ = walk(x, y, z, foot[v], ground, False)
         best = max(best, (nx * n[face, 0] + ny * n[face, 1] + nz * n[face, 2]) / length)
@@ -134,7 +138,7 @@ def may_replace(
     """
     new, feet = room.new, room.feet
     for i in range(count):
-        if facing(points, foot, new[i, 0], new[i, 1], new[i, 2], ground) < least:
+        if facing(points, foot, new[i, 0], new[i, 1], new[i, 2], ground, least, 0.0) < least:
             return False
     limit = envelope * envelope
     g = ground.points

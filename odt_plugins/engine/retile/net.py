@@ -237,9 +237,7 @@ def fits(net: Net, rules: Rules, room: Room, centre: int, old: int, new: int) ->
     int    ground vertices that change their list, -1 when the triangles must not be exchanged
     """
     exchange = room.exchange
-    ground, foot = rules.ground, net.foot
-    t = net.triangles
-    least = rules.cosine
+    ground, foot, t = rules.ground, net.foot, net.triangles
     found = _extremes(net.points, exchange.new, room.rows, new)
     if not keeps(found, rules.bounds):
         before = _extremes(net.points, t, exchange.old, old)
@@ -255,14 +253,8 @@ def fits(net: Net, rules: Rules, room: Room, centre: int, old: int, new: int) ->
             if not triangle_in_space(net.points, cell[0], cell[1], cell[2])[5] > 0.0:
                 return -1
         return 0
-    if _folded(net, room, old, new):
+    if _folded(net, room, old, new) or _turned(net, rules, room, old, new):
         return -1
-    for i in range(old):
-        s = exchange.old[i]
-        if least <= -1.0:
-            break
-        turn = facing(net.points, foot, t[s, 0], t[s, 1], t[s, 2], ground)
-        least = min(least, turn - TURNED)
     for i in range(new):
         for k in range(3):
             if exchange.new[i, k] == centre and room.marks[i, (k + 2) % 3] < 0:
@@ -271,10 +263,26 @@ def fits(net: Net, rules: Rules, room: Room, centre: int, old: int, new: int) ->
                     return -1
     number = gather(net.first, net.following, old, exchange)
     if number < 0 or not may_replace(
-        net.points, foot, new, number, least, ground, reach, exchange
+        net.points, foot, new, number, -1.0, ground, reach, exchange
     ):
         return -1
     return number
+
+
+@kernel
+def _turned(net: Net, rules: Rules, room: Room, old: int, new: int) -> bool:
+    """Whether a new triangle faces less as the ground does than all must, and than the old ones."""
+    p, foot, ground, least = net.points, net.foot, rules.ground, rules.cosine
+    poorest = 1.0
+    for i in range(new):
+        c = room.exchange.new[i]
+        poorest = min(poorest, facing(p, foot, c[0], c[1], c[2], ground, least, 0.0))
+    for i in range(old):
+        if poorest >= least:
+            break
+        c = net.triangles[room.exchange.old[i]]
+        least = min(least, facing(p, foot, c[0], c[1], c[2], ground, least, TURNED) - TURNED)
+    return poorest < least
 
 
 @kernel
