@@ -114,7 +114,7 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
             elif other.is_simplex and 0 < other.dim < kind.dim:
                 found.setdefault(elements.number, []).append(own)
             elif other.dim == 0 or not other.is_simplex:
-                kept.append(KeptCells(other.name, rows.reshape(-1, 1)))
+                kept.append(KeptCells(other.name, rows.reshape(-1, 1), walls=other.dim > 0))
             total += len(rows)
     entity = np.repeat(np.arange(len(parts)), [len(part.tags) for part in parts.values()])
     every = {one: Rows(np.concatenate([rows.tags for rows in several]),

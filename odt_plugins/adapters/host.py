@@ -50,6 +50,8 @@ class KeptCells(NamedTuple):
                                   row stays itself; None where the classes tell that
     ids : (q,) int or None        place of each row among all cells of the object, of those with
                                   classes where the host has such `ids`
+    walls : bool           whether vertices, r = 1, are those of cells of another shape, so that
+                           facets of the boundary between them stay too
     """
 
     kind: str
@@ -57,6 +59,7 @@ class KeptCells(NamedTuple):
     classes: NDArray[Any] | None = None
     labels: NDArray[Any] | None = None
     ids: NDArray[Any] | None = None
+    walls: bool = False
 
 
 def middles(corners: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -61,9 +61,10 @@ def protect(
     kept : tuple of KeptCells    a line or triangle on the boundary or on an interface stays
                                  anyway; for one inside the cells around are parted into more
                                  regions, of the same body; of anything else the vertices are
-                                 fixed; facets between vertices that a file names stay with these,
-                                 and where sizes change vertices of a set that are those of facets
-                                 come and go, within the border of these
+                                 fixed; facets between vertices that a file names, or that are
+                                 those of cells of another shape, stay with these, and where sizes
+                                 change vertices of a set that are those of facets come and go,
+                                 within the border of these
     anchors : (k,) int           vertices that must not be removed; none out of range counts
     free : bool                  whether the vertices of lines and triangles inside may move
     resized : bool               whether those with classes may become others
@@ -85,7 +86,7 @@ def protect(
     lines = [mesh.lines]
     named: list[tuple[NDArray[np.int64], NDArray[Any]]] = []
     alike: list[tuple[NDArray[np.int64], NDArray[Any]]] = []
-    for kind, raw, classes, labels, _ in kept:
+    for kind, raw, classes, labels, _, walls in kept:
         rows = _rows_of(mesh, kind, raw)
         if rows.shape[1] > 1:
             held, exposed, _ = _hold(mesh, rows)
@@ -99,7 +100,7 @@ def protect(
             if rows.shape[1] == 2:
                 lines.append(_edges(rows[held]))
             rows = rows[~held]
-        elif kind == NAMED_VERTEX:
+        elif kind == NAMED_VERTEX or walls:
             stays.append(_edges(_facets_of(mesh, rows.ravel())))
         elif resized and kind.startswith(SET_VERTEX):
             facets, own = _facets_of(mesh, rows.ravel()), np.intersect1d(rows, mesh.cells)
@@ -230,7 +231,7 @@ def protect_surface(
     lines, loose, stays = [mesh.lines], [np.zeros(0, dtype=np.int64)], [mesh.stays]
     named: list[tuple[NDArray[np.int64], NDArray[Any]]] = []
     alike: list[tuple[NDArray[np.int64], NDArray[Any]]] = []
-    for kind, raw, classes, labels, _ in kept:
+    for kind, raw, classes, labels, _, walls in kept:
         rows = _rows_of(mesh, kind, raw)
         if rows.shape[1] == 2 and len(rows):
             keys = row_keys(np.concatenate([np.sort(rows, axis=1), pairs]), n)
@@ -243,7 +244,7 @@ def protect_surface(
             if others and not become:
                 stays.append(lines[-1])
             rows = rows[~held]
-        elif kind == NAMED_VERTEX and others:
+        elif (kind == NAMED_VERTEX or walls) and others:
             among = np.isin(pairs, rows)
             stays.append(pairs[among.all(axis=1)].astype(np.int32))
         loose.append(rows.ravel())

@@ -450,7 +450,7 @@ def _kept(mesh: Any, i: int, order: int) -> list[KeptCells]:
     """
     kind, data = mesh.cells[i].type, np.asarray(mesh.cells[i].data)
     if kind not in FACES:
-        return [KeptCells(kind, data.reshape(-1, 1))]
+        return [KeptCells(kind, data.reshape(-1, 1), walls=True)]
     columns = [np.asarray(values[i]) for values in mesh.cell_data.values()]
     for name, members in mesh.cell_sets.items():
         if name not in NOT_CELL_INDICES and members[i] is not None:

@@ -249,7 +249,7 @@ def _read_grid(mesh: Any) -> tuple[IndexArray, IndexArray, tuple[KeptCells, ...]
             known = _known(mesh, which, size - 1 if other == POLY_LINE else None)
             if other not in ((LINE, TRIANGLE) if kind in LINEAR else (21, 22, 68, 69)):
                 known = (None, *known[1:])
-        own = KeptCells(names[other], rows, *known)
+        own = KeptCells(names[other], rows, *known)._replace(walls=not known)
         kept += [part for part, _ in each_once(own)] if known else [own]
     return cells, ids, tuple(kept)
 
@@ -433,7 +433,8 @@ def _read_polydata(mesh: Any) -> tuple[IndexArray, IndexArray, tuple[KeptCells, 
         kept = tuple(part for part, _ in each_once(KeptCells("line", rows, *known)))
     if len(which) < len(size):
         rest = size != 3
-        kept += (KeptCells("polygon", faces[_positions(start[rest], size[rest])][:, None]),)
+        rows = faces[_positions(start[rest], size[rest])][:, None]
+        kept += (KeptCells("polygon", rows, walls=True),)
     return (faces[start[which][:, None] + np.arange(3)], mesh.n_cells - len(size) + which, kept)
 
 

@@ -250,7 +250,8 @@ def glued(host: HostMesh, same: NDArray[np.int64]) -> HostMesh:
         return np.where(known, same[np.where(known, rows, 0).astype(np.int64)], rows)
 
     cells = first(host.cells).astype(np.int64)
-    kept = [KeptCells(kind, first(rows)) for kind, rows, *_ in host.kept if kind != SEAM]
+    kept = [KeptCells(part.kind, first(part.rows), walls=part.walls) for part in host.kept
+            if part.kind != SEAM]
     blocks = host.blocks
     if host.texture is not None and cells.shape[1] == 3:
         uv = host.texture if host.texture.ndim == 3 else host.texture[host.cells.astype(np.int64)]

@@ -1,0 +1,107 @@
+"""Cells of other shapes beside the optimised ones: what they share with these is there still."""
+
+import boxes
+import gmsh
+import meshio
+import numpy as np
+import pytest
+import pyvista
+
+import odt_plugins
+
+KINDS = {"tetra": 10, "wedge": 13, "triangle": 5, "quad": 9}
+
+
+def extruded(curved, dim):
+    """A square or cube, and quadrilaterals or wedges on its side at x = 1."""
+    points, cells = boxes.box(dim, 4)
+    key = np.sort(np.concatenate([np.delete(cells, i, axis=1) for i in range(dim + 1)]), axis=1)
+    side = np.unique(key[(points[key][:, :, 0] == 1.0).all(axis=1)], axis=0)
+    own, rows = np.unique(side, return_inverse=True)
+    new = rows.reshape(side.shape) + len(points)
+    if dim == 2:
+        other = ("quad", np.concatenate([side, new[:, ::-1]], axis=1))
+    else:
+        other = ("wedge", np.concatenate([side, new], axis=1))
+    points = np.concatenate([points, points[own] + np.eye(dim)[0] / 4])
+    if curved:
+        points = np.column_stack([points, 0.3 * np.sin(3 * points[:, 0])])
+    return points, [("triangle" if dim == 2 else "tetra", cells), other]
+
+
+def meshio_mesh(points, blocks):
+    return meshio.Mesh(points, blocks)
+
+
+def grid(points, blocks):
+    return pyvista.UnstructuredGrid({KINDS[name]: rows for name, rows in blocks},
+                                    np.pad(points, ((0, 0), (0, 3 - points.shape[1]))))
+
+
+def polydata(points, blocks):
+    return pyvista.PolyData.from_irregular_faces(
+        np.pad(points, ((0, 0), (0, 3 - points.shape[1]))),
+        [row for _, rows in blocks for row in rows.tolist()])
+
+
+def blocks_of(mesh):
+    if isinstance(mesh, meshio.Mesh):
+        return {block.type: block.data for block in mesh.cells}
+    if isinstance(mesh, pyvista.PolyData):
+        faces = mesh.irregular_faces
+        return {name: np.array([face for face in faces if len(face) == size])
+                for name, size in (("triangle", 3), ("quad", 4))}
+    return {name: mesh.cells_dict[kind] for name, kind in KINDS.items() if kind in mesh.cells_dict}
+
+
+def shared(cells, others):
+    """How many facets the simplices have with wedges or quadrilaterals in common."""
+    r = cells.shape[1] - 1
+    facets = np.concatenate([np.delete(np.sort(cells, axis=1), i, axis=1) for i in range(r + 1)])
+    return len({*map(tuple, facets.tolist())} & {*map(tuple, np.sort(others[:, :r]).tolist())})
+
+
+@pytest.mark.parametrize("run", [
+    lambda mesh: odt_plugins.remesh(mesh, scale=0.5),
+    lambda mesh: odt_plugins.remesh(mesh, scale=2, free="periodic"),
+    lambda mesh: odt_plugins.optimize(mesh, boundary="slide", keep=()),
+])
+@pytest.mark.parametrize(("dim", "curved", "made"), [
+    (2, False, meshio_mesh), (2, True, meshio_mesh), (3, False, meshio_mesh),
+    (2, False, grid), (2, True, grid), (3, False, grid), (2, True, polydata),
+])
+def test_facets_that_simplices_share_with_cells_of_other_shapes_stay(dim, curved, made, run):
+    mesh = made(*extruded(curved, dim))
+    (cells, others), now = blocks_of(mesh).values(), blocks_of(run(mesh))
+    assert len(now[list(now)[1]]) == len(others) == shared(cells, others)
+    assert shared(*now.values()) == len(others)
+
+
+def test_facets_that_triangles_share_with_quadrilaterals_of_a_model_stay():
+    gmsh.initialize()
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        for x in (0, 1):
+            gmsh.model.occ.addRectangle(x, 0, 0, 1, 1)
+        gmsh.model.occ.fragment([(2, 1)], [(2, 2)])
+        gmsh.model.occ.synchronize()
+        gmsh.option.setNumber("Mesh.MeshSizeMax", 0.25)
+        gmsh.model.mesh.setTransfiniteSurface(2)
+        gmsh.model.mesh.setRecombine(2, 2)
+        gmsh.model.mesh.generate(2)
+
+        def of(kind):
+            return gmsh.model.mesh.getElementsByType(kind)[1].reshape(-1, kind + 1).astype(int)
+
+        def between():
+            edges = [{tuple(sorted((row[i - 1], row[i]))) for row in of(kind).tolist()
+                      for i in range(kind + 1)} for kind in (2, 3)]
+            return edges[0] & edges[1]
+
+        before, count = between(), len(of(2))
+        odt_plugins.remesh(gmsh.model, scale=0.5)
+        assert len(of(2)) > 2 * count
+        assert between() == before
+        assert before
+    finally:
+        gmsh.finalize()
