@@ -51,7 +51,7 @@ class KeptCells(NamedTuple):
     ids : (q,) int or None        place of each row among all cells of the object, of those with
                                   classes where the host has such `ids`
     walls : bool           whether vertices, r = 1, are those of cells of another shape, so that
-                           facets of the boundary between them stay too
+                           edges of the boundary between them stay too
     """
 
     kind: str

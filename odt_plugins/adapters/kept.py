@@ -61,10 +61,10 @@ def protect(
     kept : tuple of KeptCells    a line or triangle on the boundary or on an interface stays
                                  anyway; for one inside the cells around are parted into more
                                  regions, of the same body; of anything else the vertices are
-                                 fixed; facets between vertices that a file names, or that are
-                                 those of cells of another shape, stay with these, and where sizes
-                                 change vertices of a set that are those of facets come and go,
-                                 within the border of these
+                                 fixed; facets between vertices that a file names, and edges of
+                                 facets between those of other cells, stay with these, and where
+                                 sizes change vertices of a set that are those of facets come and
+                                 go, within the border of these
     anchors : (k,) int           vertices that must not be removed; none out of range counts
     free : bool                  whether the vertices of lines and triangles inside may move
     resized : bool               whether those with classes may become others
@@ -100,8 +100,12 @@ def protect(
             if rows.shape[1] == 2:
                 lines.append(_edges(rows[held]))
             rows = rows[~held]
-        elif kind == NAMED_VERTEX or walls:
+            if rows.shape[1] == 3:
+                stays.append(_rims_of(mesh, rows.ravel()))
+        elif kind == NAMED_VERTEX:
             stays.append(_edges(_facets_of(mesh, rows.ravel())))
+        elif walls:
+            stays.append(_rims_of(mesh, rows.ravel()))
         elif resized and kind.startswith(SET_VERTEX):
             facets, own = _facets_of(mesh, rows.ravel()), np.intersect1d(rows, mesh.cells)
             if 2 * len(facets) > len(own) and np.isin(own, facets).all():
@@ -133,6 +137,19 @@ def _facets_of(mesh: SimplexMesh, vertices: NDArray[np.int64]) -> NDArray[np.int
     found = np.concatenate([np.delete(ordered, i, axis=1)[stay[:, i]] for i in range(k)])
     held: NDArray[np.int64] = found[among[found].all(axis=1)]
     return held
+
+
+def _rims_of(mesh: SimplexMesh, vertices: NDArray[np.int64]) -> IntArray:
+    """Edges of facets of the boundary and of interfaces both of whose ends are among vertices."""
+    among = np.zeros(len(mesh.points), dtype=np.bool_)
+    among[vertices] = True
+    near = np.flatnonzero(among[mesh.cells].sum(axis=1) >= 2)
+    if not near.size:
+        return np.zeros((0, 2), dtype=np.int32)
+    stay = _staying_facets(mesh, near)
+    facets = [np.delete(mesh.cells[near[stay[:, i]]], i, axis=1) for i in range(stay.shape[1])]
+    edges = _edges(np.concatenate(facets))
+    return edges[among[edges].all(axis=1)]
 
 
 def _anchored(anchors: NDArray[Any] | None, n: int) -> BoolArray:

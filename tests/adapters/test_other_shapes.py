@@ -77,6 +77,28 @@ def test_facets_that_simplices_share_with_cells_of_other_shapes_stay(dim, curved
     assert shared(*now.values()) == len(others)
 
 
+@pytest.mark.parametrize("kind", ["triangle", "quad"])
+@pytest.mark.parametrize("made", [meshio_mesh, grid])
+def test_edges_that_tetrahedra_share_with_plates_that_stand_on_them_stay(kind, made):
+    points, cells = boxes.box(3, 4)
+    foot = np.flatnonzero((points[:, 1] == 0.5) & (points[:, 2] == 1.0))
+    foot = foot[np.argsort(points[foot, 0])]
+    head = np.arange(len(points), len(points) + len(foot))
+    plate = np.column_stack([foot[:-1], foot[1:], head[1:], head[:-1]])
+    rows = plate if kind == "quad" else np.concatenate([plate[:, :3], plate[:, [0, 2, 3]]])
+    points = np.concatenate([points, points[foot] + [0, 0, 0.3]])
+    mesh = made(points, [("tetra", cells), (kind, rows)])
+    now = blocks_of(odt_plugins.remesh(mesh, scale=0.4))
+    assert len(now["tetra"]) > 8 * len(cells)
+    ends = now[kind][: len(foot) - 1, :2]
+    assert shared_edges(now["tetra"], ends) == shared_edges(cells, plate[:, :2]) == 4
+
+
+def shared_edges(cells, ends):
+    edges = np.sort(cells, axis=1)[:, [[i, j] for j in range(4) for i in range(j)]].reshape(-1, 2)
+    return len({*map(tuple, edges.tolist())} & {*map(tuple, np.sort(ends, axis=1).tolist())})
+
+
 def test_facets_that_triangles_share_with_quadrilaterals_of_a_model_stay():
     gmsh.initialize()
     try:
