@@ -58,6 +58,7 @@ from odt_plugins.adapters.point_sets import (
 from odt_plugins.adapters.regions import AUTO, Labels, region_labels
 from odt_plugins.adapters.wedges import TEXTURE, carried, of_vertices, slid, texture_of
 from odt_plugins.errors import InvalidMeshError, UnsupportedMeshError, counted
+from odt_plugins.mesh.simplex import compact_labels
 
 FACES = {"line": 2, "triangle": 3} | {
     name: dim + 1 for name, dim in
@@ -285,14 +286,15 @@ def _sets_of(
     """Name and vertices of every point set, and the cells that fill it if it is a volume."""
     out = []
     there = ((cells >= 0) & (cells < len(mesh.points))).all(axis=1)
-    cells = cells[there].astype(np.int64)
-    walls = walls_of(cells, None if labels is None else labels[there], len(mesh.points), shape) if (
-        mesh.point_sets) else cells
+    cells = walls = cells[there].astype(np.int64)
+    if mesh.point_sets:
+        known = None if labels is None else compact_labels(labels, there.size)[there]
+        walls = walls_of(cells, known, len(mesh.points), shape)
     for name, members in mesh.point_sets.items():
         given = indices(members)
         given = given[(given >= 0) & (given < len(mesh.points))]
-        known = cells, walls, len(mesh.points), shape
-        out.append((name, of_corners(given, *known), whole_cells(given, *known)))
+        around = cells, walls, len(mesh.points), shape
+        out.append((name, of_corners(given, *around), whole_cells(given, *around)))
     return out
 
 

@@ -11,7 +11,7 @@ import pytest
 import pyvista
 
 from odt_plugins import optimize, remesh, remesh_with_report, untangle
-from odt_plugins.errors import DataNotKeptWarning, InvalidMeshError
+from odt_plugins.errors import DataNotKeptWarning, InvalidMeshError, InvalidOptionError
 from odt_plugins.generate import uniform_refine
 
 
@@ -216,6 +216,15 @@ def test_labels_in_a_column_beside_sets(order):
     assert out.cell_data["material"][0].shape == (len(out.cells[0].data), 1)
     assert np.array_equal(np.sort(out.point_sets["low"]),
                           np.flatnonzero(np.abs(out.points[:, 2]) < 1e-3))
+
+
+@pytest.mark.parametrize("run", [optimize, untangle])
+def test_vectors_named_as_labels_beside_sets_are_refused(run):
+    points, cells = boxes.box(3, 3)
+    mesh = meshio.Mesh(points, [("tetra", cells)], cell_data={"flow": [points[cells[:, 0]]]},
+                       point_sets={"low": np.flatnonzero(points[:, 2] == 0)})
+    with pytest.raises(InvalidOptionError, match=r"regions have shape .* one label per cell"):
+        run(mesh, regions="flow")
 
 
 @pytest.mark.parametrize("run", [optimize, lambda mesh: remesh(mesh, scale=0.8), uniform_refine])
