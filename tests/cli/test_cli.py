@@ -447,10 +447,16 @@ BAD = [
 ]
 
 
+NEEDS = {"batch": ("jinja2", "pyarrow"), "compare": ("jinja2",), "demo": ("pytetwild",)}
+"""What commands need before anything else can be wrong."""
+
+
 @pytest.mark.parametrize(("words", "code", "says"), BAD, ids=[b[0] for b in BAD])
 def test_an_error_is_one_clear_sentence_and_nothing_is_written(
     place: Path, capsys: pytest.CaptureFixture[str], words: str, code: int, says: str
 ) -> None:
+    for tool in NEEDS.get(words.split()[0], ()):
+        pytest.importorskip(tool)
     broken_files(place)
     there = contents(place)
     assert cli.main(words.split()) == code
@@ -460,6 +466,8 @@ def test_an_error_is_one_clear_sentence_and_nothing_is_written(
     assert line.startswith("odt-plugins: ")
     assert len(line) < 500
     assert "Traceback" not in line
+    # The lowest version of click that is allowed names options without quotation marks.
+    line = re.sub(r"(No such option: )(--[\w-]+)", r"\1'\2'", line)
     assert re.search(says, line), line
     assert contents(place) == there
 
@@ -563,6 +571,8 @@ def test_a_temporary_folder_without_room_is_told(
     place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], owner: Any,
     name: str, number: int, words: str,
 ) -> None:
+    pytest.importorskip("pytetwild")
+
     def full(*_: Any) -> None:
         raise OSError(number, words)
 
