@@ -211,14 +211,20 @@ def _lists(rows: IntArray, n: int, room: int) -> tuple[IntArray, IntArray]:
     return first, following
 
 
-def edges_beyond(body: Body, limit: float, *, longer: bool) -> IntArray:
-    """Edges (e, 2) longer, or shorter, than so many times their size; the furthest off first."""
+def edges_beyond(
+    body: Body, limit: float, *, longer: bool, near: BoolArray | None = None
+) -> IntArray:
+    """Edges (e, 2) longer, or shorter, than so many times their size; the furthest off first.
+
+    If vertices ``near`` (n,) are marked, only those with one of them.
+    """
     n = int(body.used[0])
+    near = np.ones(n, dtype=np.bool_) if near is None else near
     room = 1 << 16
     while True:
         edges, ratios = np.empty((room, 2), dtype=np.int32), np.empty(room)
         mark = np.full(n, -1, dtype=np.int32)
-        found = int(_edges_beyond(body, limit * limit, longer, mark, edges, ratios))
+        found = int(_edges_beyond(body, limit * limit, longer, near, mark, edges, ratios))
         if found <= room:
             break
         room = found
@@ -228,7 +234,8 @@ def edges_beyond(body: Body, limit: float, *, longer: bool) -> IntArray:
 
 @kernel
 def _edges_beyond(
-    body: Body, limit: float, longer: bool, mark: IntArray, edges: IntArray, ratios: FloatArray
+    body: Body, limit: float, longer: bool, near: BoolArray, mark: IntArray, edges: IntArray,
+    ratios: FloatArray,
 ) -> int:
     """Count such edges, and write them as long as there is room."""
     tets = body.tets
@@ -243,6 +250,8 @@ def _edges_beyond(
                 w = tets.rows[c, i]
                 if w > v and mark[w] != v:
                     mark[w] = v
+                    if not (near[v] or near[w]):
+                        continue
                     r = ratio(body, v, w)
                     if (r > limit) if longer else (r < limit):
                         if count < edges.shape[0]:

@@ -256,10 +256,10 @@ def _collapse(work: Resizing, longest: float = LONG) -> int:
     body, total = work.body, 0
     n = int(body.used[0])
     near = np.ones(n, dtype=np.bool_)
+    others = np.zeros((0, 2), dtype=np.int32)
     for _ in range(PASSES):
-        edges = edges_beyond(body, SHORT, longer=False)
-        count = len(edges)
-        edges = np.ascontiguousarray(edges[near[edges].any(axis=1)])
+        edges = edges_beyond(body, SHORT, longer=False, near=near)
+        count = len(edges) + len(others)
         rows, points = body.tets.rows.copy(), body.points[:n].copy()
         done = sum(
             int(collapse_edges(body, work.guard, edges[first:last], (SHORT, longest),
@@ -272,6 +272,8 @@ def _collapse(work: Resizing, longest: float = LONG) -> int:
         changed = (rows != body.tets.rows).any(axis=1) | moved[rows].any(axis=1)
         near = np.zeros(n, dtype=np.bool_)
         near[rows[changed]] = True
+        others = np.concatenate([edges, others])
+        others = others[~near[others].any(axis=1)]
     return total
 
 
