@@ -39,7 +39,15 @@ from odt_plugins.adapters.gmsh_parts import (
     parts_of,
 )
 from odt_plugins.adapters.higher_order import HigherOrder, check_mid_nodes, lattice, with_mid_nodes
-from odt_plugins.adapters.host import Geometry, HostMesh, KeptCells, Result, each_once, middles
+from odt_plugins.adapters.host import (
+    Geometry,
+    HostMesh,
+    KeptCells,
+    Result,
+    each_once,
+    middles,
+    of_other_shape,
+)
 from odt_plugins.adapters.regions import AUTO, region_labels
 from odt_plugins.errors import UnsupportedMeshError
 from odt_plugins.mesh.faces import Faces, labels_at
@@ -113,8 +121,10 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
                 found[number].append(own)
             elif other.is_simplex and 0 < other.dim < kind.dim:
                 found.setdefault(elements.number, []).append(own)
-            elif other.dim == 0 or not other.is_simplex:
-                kept.append(KeptCells(other.name, rows.reshape(-1, 1), walls=other.dim > 0))
+            elif other.dim == 0:
+                kept.append(KeptCells(other.name, rows.reshape(-1, 1)))
+            elif not other.is_simplex:
+                kept.append(of_other_shape(other.name, rows, np.full(len(rows), rows.shape[1])))
             total += len(rows)
     entity = np.repeat(np.arange(len(parts)), [len(part.tags) for part in parts.values()])
     every = {one: Rows(np.concatenate([rows.tags for rows in several]),

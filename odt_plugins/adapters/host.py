@@ -50,8 +50,8 @@ class KeptCells(NamedTuple):
                                   row stays itself; None where the classes tell that
     ids : (q,) int or None        place of each row among all cells of the object, of those with
                                   classes where the host has such `ids`
-    walls : bool           whether vertices, r = 1, are those of cells of another shape, so that
-                           edges of the boundary between them stay too
+    walls : (q,) int or None      of which cell every row is, where rows are vertices, r = 1, of
+                                  cells of another shape, so that facets and edges stay too
     """
 
     kind: str
@@ -59,7 +59,12 @@ class KeptCells(NamedTuple):
     classes: NDArray[Any] | None = None
     labels: NDArray[Any] | None = None
     ids: NDArray[Any] | None = None
-    walls: bool = False
+    walls: NDArray[Any] | None = None
+
+
+def of_other_shape(kind: str, vertices: NDArray[Any], size: NDArray[Any]) -> KeptCells:
+    """Keep cells of so many vertices each (m,), which are given one after another."""
+    return KeptCells(kind, vertices.reshape(-1, 1), walls=np.repeat(np.arange(len(size)), size))
 
 
 def middles(corners: NDArray[np.float64]) -> NDArray[np.float64]:

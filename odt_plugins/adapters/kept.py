@@ -21,7 +21,7 @@ from odt_plugins.errors import InvalidMeshError, counted
 from odt_plugins.mesh.arrays import BoolArray, IntArray
 from odt_plugins.mesh.components import components
 from odt_plugins.mesh.faces import Faces, borders_of, ends_of, no_faces
-from odt_plugins.mesh.facets import directed_facets, row_keys
+from odt_plugins.mesh.facets import directed_facets, facets_within, row_keys
 from odt_plugins.mesh.periodic import periodic_triangles
 from odt_plugins.mesh.simplex import SimplexMesh, freeze, with_same_cells
 from odt_plugins.mesh.soup import twins
@@ -61,8 +61,8 @@ def protect(
     kept : tuple of KeptCells    a line or triangle on the boundary or on an interface stays
                                  anyway; for one inside the cells around are parted into more
                                  regions, of the same body; of anything else the vertices are
-                                 fixed; facets between vertices that a file names, and edges of
-                                 facets between those of other cells, stay with these, and where
+                                 fixed; facets between vertices that a file names, and facets
+                                 and edges between those of other cells, stay with these, and where
                                  sizes change vertices of a set that are those of facets come and
                                  go, within the border of these
     anchors : (k,) int           vertices that must not be removed; none out of range counts
@@ -104,8 +104,11 @@ def protect(
                 stays.append(_rims_of(mesh, rows.ravel()))
         elif kind == NAMED_VERTEX:
             stays.append(_edges(_facets_of(mesh, rows.ravel())))
-        elif walls:
-            stays.append(_rims_of(mesh, rows.ravel()))
+        elif walls is not None:
+            facets = facets_within(mesh.cells, rows[:, 0], walls)
+            stays += [_rims_of(mesh, rows[:, 0]), _edges(facets)]
+            exposed = _hold(mesh, facets)[1]
+            inner += [facets[exposed]] if exposed.any() else []
         elif resized and kind.startswith(SET_VERTEX):
             facets, own = _facets_of(mesh, rows.ravel()), np.intersect1d(rows, mesh.cells)
             if 2 * len(facets) > len(own) and np.isin(own, facets).all():
@@ -261,7 +264,7 @@ def protect_surface(
             if others and not become:
                 stays.append(lines[-1])
             rows = rows[~held]
-        elif (kind == NAMED_VERTEX or walls) and others:
+        elif (kind == NAMED_VERTEX or walls is not None) and others:
             among = np.isin(pairs, rows)
             stays.append(pairs[among.all(axis=1)].astype(np.int32))
         loose.append(rows.ravel())

@@ -45,6 +45,7 @@ from odt_plugins.adapters.host import (
     each_once,
     faces_now,
     is_instance,
+    of_other_shape,
 )
 from odt_plugins.adapters.lengths import NOT_CELL_INDICES, check_lengths, of_one_shape
 from odt_plugins.adapters.normals import NORMALS, are_normals, renewed
@@ -452,7 +453,7 @@ def _kept(mesh: Any, i: int, order: int) -> list[KeptCells]:
     """
     kind, data = mesh.cells[i].type, np.asarray(mesh.cells[i].data)
     if kind not in FACES:
-        return [KeptCells(kind, data.reshape(-1, 1), walls=True)]
+        return [of_other_shape(kind, data, np.full(len(data), data.shape[-1]))]
     columns = [np.asarray(values[i]) for values in mesh.cell_data.values()]
     for name, members in mesh.cell_sets.items():
         if name not in NOT_CELL_INDICES and members[i] is not None:

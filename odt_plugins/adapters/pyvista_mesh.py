@@ -36,6 +36,7 @@ from odt_plugins.adapters.host import (
     each_once,
     faces_now,
     is_instance,
+    of_other_shape,
 )
 from odt_plugins.adapters.lengths import check_arrays_of_vtk
 from odt_plugins.adapters.normals import NORMALS, are_normals, renewed
@@ -243,14 +244,12 @@ def _read_grid(mesh: Any) -> tuple[IndexArray, IndexArray, tuple[KeptCells, ...]
         elif other in FACES:
             rows = flat[start[:, None] + np.arange(FACES[other])]
         else:
-            rows = flat[_positions(start, size)][:, None]
-        known: tuple[Any, ...] = ()
-        if other in (LINE, POLY_LINE, *FACES):
-            known = _known(mesh, which, size - 1 if other == POLY_LINE else None)
-            if other not in ((LINE, TRIANGLE) if kind in LINEAR else (21, 22, 68, 69)):
-                known = (None, *known[1:])
-        own = KeptCells(names[other], rows, *known)._replace(walls=not known)
-        kept += [part for part, _ in each_once(own)] if known else [own]
+            kept.append(of_other_shape(names[other], flat[_positions(start, size)], size))
+            continue
+        known = _known(mesh, which, size - 1 if other == POLY_LINE else None)
+        if other not in ((LINE, TRIANGLE) if kind in LINEAR else (21, 22, 68, 69)):
+            known = (None, *known[1:])
+        kept += [part for part, _ in each_once(KeptCells(names[other], rows, *known))]
     return cells, ids, tuple(kept)
 
 
@@ -432,9 +431,8 @@ def _read_polydata(mesh: Any) -> tuple[IndexArray, IndexArray, tuple[KeptCells, 
         known = _known(mesh, lines, None if len(rows) == len(lines) else parts)
         kept = tuple(part for part, _ in each_once(KeptCells("line", rows, *known)))
     if len(which) < len(size):
-        rest = size != 3
-        rows = faces[_positions(start[rest], size[rest])][:, None]
-        kept += (KeptCells("polygon", rows, walls=True),)
+        first, more = start[size != 3], size[size != 3]
+        kept += (of_other_shape("polygon", faces[_positions(first, more)], more),)
     return (faces[start[which][:, None] + np.arange(3)], mesh.n_cells - len(size) + which, kept)
 
 

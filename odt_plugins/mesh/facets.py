@@ -68,6 +68,31 @@ def row_keys(rows: NDArray[np.integer], n: int) -> NDArray[np.int64]:
     return key
 
 
+def facets_within(
+    cells: NDArray[np.integer], corners: NDArray[np.int64], owner: NDArray[np.integer]
+) -> NDArray[np.int64]:
+    """Facets (f, k - 1) of cells (m, k) whose vertices are all corners of one other cell.
+
+    Parameters
+    ----------
+    cells : (m, k) int      simplices
+    corners : (q,) int64    corners of other cells, of any number each
+    owner : (q,) int        of which of these each is
+    """
+    k = cells.shape[1]
+    near = np.sort(cells[np.isin(cells, corners).sum(axis=1) >= k - 1], axis=1).astype(np.int64)
+    facets = np.concatenate([np.delete(near, i, axis=1) for i in range(k)])
+    facets = np.unique(facets[np.isin(facets, corners).all(axis=1)], axis=0)
+    order = np.argsort(corners, kind="stable")
+    start, stop = (np.searchsorted(corners[order], facets[:, 0], end) for end in ("left", "right"))
+    which = np.repeat(np.arange(len(facets)), stop - start)
+    place = np.arange(len(which)) - np.repeat((stop - start).cumsum() - stop, stop - start)
+    width = int(owner.max(initial=0)) + 1
+    keys = facets[which] * width + owner[order][place][:, None]
+    within = np.isin(keys, corners * width + owner).all(axis=1)
+    return facets[np.unique(which[within])]
+
+
 def directed_facets(
     cells: NDArray[np.int32], n: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

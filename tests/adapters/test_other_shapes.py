@@ -94,6 +94,59 @@ def test_edges_that_tetrahedra_share_with_plates_that_stand_on_them_stay(kind, m
     assert shared_edges(now["tetra"], ends) == shared_edges(cells, plate[:, :2]) == 4
 
 
+def baffle():
+    """A cube of tetrahedra, and the quadrilaterals inside of it at x = 0.5 that facets fill."""
+    points, cells = boxes.box(3, 4, plane=0.5)
+    place = {tuple(key): i for i, key in enumerate(np.rint(4 * points).astype(int).tolist())}
+    rows = [[place[2, y + j, z + k] for j, k in ((0, 0), (1, 0), (1, 1), (0, 1))]
+            for y in (1, 2) for z in (1, 2)]
+    return points, cells, np.array(rows)
+
+
+def filled(cells, rows):
+    """How many of the quadrilaterals two facets of tetrahedra fill."""
+    facets = {tuple(sorted(np.delete(cell, i).tolist())) for cell in cells for i in range(4)}
+    halves = (((0, 1, 2), (0, 2, 3)), ((0, 1, 3), (1, 2, 3)))
+    return sum(any(all(tuple(sorted(row[[*half]].tolist())) in facets for half in pair)
+                   for pair in halves) for row in rows)
+
+
+RUNS = [
+    lambda mesh: odt_plugins.remesh(mesh, scale=0.5),
+    lambda mesh: odt_plugins.remesh(mesh, scale=2),
+    lambda mesh: odt_plugins.optimize(mesh, insert=True, keep=()),
+]
+
+
+@pytest.mark.parametrize("run", RUNS)
+@pytest.mark.parametrize("made", [meshio_mesh, grid])
+def test_facets_that_fill_quadrilaterals_inside_of_a_region_stay(made, run):
+    points, cells, rows = baffle()
+    assert filled(cells, rows) == 4
+    now = blocks_of(run(made(points, [("tetra", cells), ("quad", rows)])))
+    assert len(now["tetra"]) != len(cells)
+    assert filled(now["tetra"], now["quad"]) == 4
+
+
+@pytest.mark.parametrize("run", RUNS)
+def test_facets_that_fill_quadrilaterals_inside_of_a_volume_of_a_model_stay(run):
+    points, cells, rows = baffle()
+    gmsh.initialize()
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        for dim, kind, nodes in ((3, 4, cells), (2, 3, rows)):
+            gmsh.model.addDiscreteEntity(dim, 1)
+            if dim == 3:
+                gmsh.model.mesh.addNodes(3, 1, np.arange(len(points)) + 1, points.ravel())
+            gmsh.model.mesh.addElementsByType(1, kind, [], nodes.ravel() + 1)
+        run(gmsh.model)
+        cells, rows = (gmsh.model.mesh.getElementsByType(kind)[1].reshape(-1, 4).astype(int)
+                       for kind in (4, 3))
+        assert filled(cells, rows) == len(rows) == 4
+    finally:
+        gmsh.finalize()
+
+
 def shared_edges(cells, ends):
     edges = np.sort(cells, axis=1)[:, [[i, j] for j in range(4) for i in range(j)]].reshape(-1, 2)
     return len({*map(tuple, edges.tolist())} & {*map(tuple, np.sort(ends, axis=1).tolist())})
