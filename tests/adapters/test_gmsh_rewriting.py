@@ -181,9 +181,10 @@ def test_values_belong_to_the_nodes_that_they_name(tmp_path):
     assert np.allclose(mesh.point_data["u"], mesh.points @ FIELD)
 
 
-@pytest.mark.parametrize("version", [2.2, 4.1])
+@pytest.mark.parametrize("scale", ["0.7", "1.5"])
+@pytest.mark.parametrize(("version", "binary"), [(2.2, 0), (4.1, 0), (4.1, 1)])
 def test_values_of_nodes_that_come_and_go_are_right_for_readers_that_go_by_the_order(
-        version, gmsh, tmp_path):
+        version, binary, scale, gmsh, tmp_path):
     """meshio takes values of nodes one after the other, Gmsh by their tags."""
     file, out = tmp_path / "in.msh", tmp_path / "out.msh"
     model = gmsh.model
@@ -193,7 +194,7 @@ def test_values_of_nodes_that_come_and_go_are_right_for_readers_that_go_by_the_o
     for dim in (2, 3):
         for _, tag in model.getEntities(dim):
             model.addPhysicalGroup(dim, [tag], 10 * dim + tag)
-    for name, value in (("MeshSizeMax", 0.4), ("MshFileVersion", version)):
+    for name, value in (("MeshSizeMax", 0.4), ("MshFileVersion", version), ("Binary", binary)):
         gmsh.option.setNumber(f"Mesh.{name}", value)
     model.mesh.generate(3)
     nodes, places, _ = model.mesh.getNodes()
@@ -203,7 +204,7 @@ def test_values_of_nodes_that_come_and_go_are_right_for_readers_that_go_by_the_o
     gmsh.view.addModelData(view, 0, model.getCurrent(), "NodeData", nodes,
                            (places.reshape(-1, 3) @ FIELD)[:, None])
     gmsh.view.write(view, str(file), append=True)
-    words = ["remesh", str(file), str(out), "--scale", "0.7", "--free", "periodic"]
+    words = ["remesh", str(file), str(out), "--scale", scale, "--free", "periodic"]
     assert cli.main(words) == 0
     mesh = meshio.read(out)
     assert len(mesh.points) != len(nodes)

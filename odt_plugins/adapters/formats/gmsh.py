@@ -43,7 +43,7 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
     An element takes the place, the number and the tags of the one from which its data come; the
     others that come from the same one follow it, with new numbers. Where elements and all values of
     elements are numbered from 1 on in their order, those of the result are, too: some readers know
-    no other values.
+    no other values. So are nodes of a binary file of version 4.1 that nothing else refers to.
 
     Raises
     ------
@@ -57,7 +57,10 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
         raise NotRewritable
     parts = gmsh_read.values_of(file)
     rows = _emitted(runs, _homes(runs, nodes, entities, change), change)
-    rows = _in_order(rows) if _ordered(runs, parts) else rows
+    if _ordered("ElementData", np.concatenate([run.numbers for run in runs]), parts):
+        rows = _in_order(rows)
+    nodes = nodes._replace(counted=change.renumbered and _countable(file) and _ordered(
+        "NodeData", nodes.tags, parts))
     exchanged = any(row.fresh.any() or len(row.fresh) != len(run.numbers)
                     for run, row in zip(runs, rows, strict=True))
     if exchanged and file.all("GhostElements"):
@@ -65,7 +68,7 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
         raise NotRewritable(msg)
     edits, lost = gmsh_nodes.places(file, nodes, change, parted=bool(
         file.all("PartitionedEntities")))
-    if exchanged:
+    if exchanged or nodes.counted:
         edits += _elements(file, runs, rows, nodes, change)
     for name, part in zip(gmsh_read.array_names(parts), parts, strict=True):
         if part.kind == "NodeData":
@@ -87,6 +90,12 @@ def _plain(file: File, nodes: Nodes) -> bool:
     """
     return (file.version == "2" and not file.text and {s.name for s in file.sections} <= PLAIN
             and np.array_equal(nodes.tags, np.arange(1, len(nodes.tags) + 1)))
+
+
+def _countable(file: File) -> bool:
+    """Whether readers may expect nodes from 1 on, and no section but known ones has their tags."""
+    known = PLAIN | {"Entities", "ElementNodeData", "InterpolationScheme"}
+    return file.version == "4.1" and not file.text and {s.name for s in file.sections} <= known
 
 
 def _expect_known(nodes: Nodes, change: Change) -> None:
@@ -218,10 +227,9 @@ def _emitted(runs: list[Run], homes: Any, change: Change) -> list[_Rows]:
     return out
 
 
-def _ordered(runs: list[Run], parts: list[Values]) -> bool:
-    """Whether there are values of elements, all with those and the elements from 1 on in order."""
-    tags = [part.tags for part in parts if part.kind == "ElementData"]
-    every = np.concatenate([run.numbers for run in runs])
+def _ordered(kind: str, every: NDArray[np.int64], parts: list[Values]) -> bool:
+    """Whether there are values of elements or nodes, and all are numbered from 1 on in order."""
+    tags = [part.tags for part in parts if part.kind == kind]
     first = np.arange(1, len(every) + 1)
     return bool(tags) and all(np.array_equal(found, first) for found in (every, *tags))
 
@@ -248,7 +256,8 @@ def _elements(
         if (text := _number(file, value)) != file.data[start:stop]]
     every = gmsh_nodes.tags(nodes, change)
     for run, row in zip(runs, rows, strict=True):
-        if not row.fresh.any() and np.array_equal(row.numbers, run.numbers):
+        same = not row.fresh.any() and np.array_equal(row.numbers, run.numbers)
+        if same and not nodes.counted:
             continue
         made = np.concatenate([
             np.asarray(change.after.cells[i].data)[row.cell[row.block == i]]

@@ -23,7 +23,9 @@ def coded(file: File, value: Any, kind: str) -> bytes:
 
 
 def tags(nodes: Nodes, change: Change) -> NDArray[np.int64]:
-    """Tag (n',) of every node of the result; new ones have those after the last."""
+    """Tag (n',) of every node of the result, new ones after the last or all from 1 on."""
+    if nodes.counted:
+        return 1 + _positions(nodes, change)
     out = nodes.tags[change.points]
     new = np.flatnonzero(change.points < 0)
     out[new] = nodes.tags.max(initial=0) + 1 + np.arange(len(new))
@@ -58,7 +60,7 @@ def places(
             msg = "nodes came to an entity whose nodes have parameters"
             raise NotRewritable(msg)
         stale += int(moved[here[here >= 0]].sum()) if block.parametric else 0
-        if len(arrived) or (here < 0).any():
+        if len(arrived) or (here < 0).any() or (nodes.counted and len(here)):
             edits += _block(file, nodes, change, block, arrived)
             continue
         for v, k in zip(range(block.first, block.last), here.tolist(), strict=True):
@@ -107,7 +109,8 @@ def _block(
     for v in kept.tolist():
         k = number[v]
         start, stop = nodes.rows[v].tolist()
-        heads.append(file.data[nodes.heads[v, 0]: nodes.heads[v, 1]])
+        heads.append(coded(file, int(every[k]), file.long) if nodes.counted else
+                     file.data[nodes.heads[v, 0]: nodes.heads[v, 1]])
         if moved[k]:
             low, high = nodes.spans[v, 0, 0], nodes.spans[v, 2, 1]
             rows.append(file.data[start:low] + _row(file, points[k]) + file.data[high:stop])
@@ -184,15 +187,16 @@ def values(
     changed = (own != part.values) & ~np.isnan(own)
     new = np.flatnonzero(change.points < 0)
     new = new[~np.isnan(table[new]).any(axis=1)]
-    if kept.all() and not len(new):
+    if kept.all() and not len(new) and not nodes.counted:
         return [(*part.spans[k, j].tolist(), coded(file, float(own[k, j]), "f8"))
                 for k, j in np.argwhere(changed).tolist()]
     between = b" " if file.text else b""
     lines = []
+    told = every[number[before]] if nodes.counted else part.tags
     for k in np.flatnonzero(kept).tolist():
         line = file.data[part.rows[k, 0]: part.rows[k, 1]]
-        lines.append(coded(file, int(part.tags[k]), "i4") + between + _row(file, own[k])
-                     if changed[k].any() else line)
+        lines.append(coded(file, int(told[k]), "i4") + between + _row(file, own[k])
+                     if changed[k].any() or nodes.counted else line)
     lines += [coded(file, int(every[k]), "i4") + between + _row(file, table[k])
               for k in new.tolist()]
     if np.array_equal(part.tags, nodes.tags):

@@ -100,6 +100,7 @@ class Nodes(NamedTuple):
     heads : (n, 2) int64        those of each tag
     rows : (n, 2) int64         those of the tag, but for version 4.1, coordinates and parameters
     blocks : list of Block
+    counted : bool              whether they have new tags, from 1 on, where nodes come and go
     """
 
     tags: NDArray[np.int64]
@@ -109,6 +110,7 @@ class Nodes(NamedTuple):
     heads: NDArray[np.int64]
     rows: NDArray[np.int64]
     blocks: list[Block]
+    counted: bool = False
 
 
 class Run(NamedTuple):
