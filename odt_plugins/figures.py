@@ -275,19 +275,29 @@ def cell_figures(points: ArrayLike, cells: ArrayLike, threads: int = 1) -> CellF
     return figures
 
 
-def figures_of(mesh: SimplexMesh, threads: int = 1) -> CellFigures:
-    """Measure every cell of a mesh as its metric sees it, once: the arrays of a mesh stay."""
+class Measured(NamedTuple):
+    """What is kept of the figures of a mesh: their summary, and two of every cell, (m,)."""
+
+    summary: QualitySummary
+    quality: FloatArray
+    volume: FloatArray
+
+
+def measured(mesh: SimplexMesh, threads: int = 1) -> Measured:
+    """Measure a mesh as its metric sees it, once: the arrays of a mesh stay."""
     known = vars(mesh)
-    if "figures" not in known:
-        known["figures"] = cell_figures(*as_seen(mesh.points, mesh.cells, mesh.metric), threads)
-    figures: CellFigures = known["figures"]
-    return figures
+    if "measured" not in known:
+        found = cell_figures(*as_seen(mesh.points, mesh.cells, mesh.metric), threads)
+        summary = summarize(mesh.points, mesh.cells, found)
+        known["measured"] = Measured(summary, found.quality, found.volume)
+    kept: Measured = known["measured"]
+    return kept
 
 
 def volumes_of(mesh: SimplexMesh) -> FloatArray:
     """Volumes or areas (m,) of the cells of a mesh, among its figures where those are at hand."""
-    if "figures" in vars(mesh) and not len(mesh.metric):
-        return figures_of(mesh).volume
+    if "measured" in vars(mesh) and not len(mesh.metric):
+        return measured(mesh).volume
     return volumes(mesh.points, mesh.cells)
 
 

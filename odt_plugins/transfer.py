@@ -110,4 +110,5 @@ def transfer_of(
     plain = Options(fields=options.fields, threads=options.threads)
     no_adapter: Any = None
     slim = work._replace(adapter=no_adapter, host=host)
-    return Transfer(slim, outcome, written, plain, origin)
+    slimmer = replace(outcome, measured=None)
+    return Transfer(slim, slimmer, replace(written, measured=None), plain, origin)

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.figures import CellFigures, QualitySummary, cell_figures, figures_of, summarize
+from odt_plugins.figures import CellFigures, QualitySummary, cell_figures, measured, summarize
 from odt_plugins.mesh.seen import as_seen
 from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.options import KEPT
@@ -81,19 +81,19 @@ def fallen_since(
     """
     if not keep:
         return []
-    found = figures_of(before)
     seen = as_seen(points, cells, metric)
-    old = summarize(before.points, before.cells, found)
+    old = measured(before).summary
     if full:
-        old = replace(old, mean_quality=mean_but_poor(found))
-        new = replace(summarize(*filled_up(*seen, full)),
-                      mean_quality=mean_but_poor(cell_figures(*seen)))
+        was = as_seen(before.points, before.cells, before.metric)
+        old = replace(old, mean_quality=mean_but_poor(*was))
+        new = replace(summarize(*filled_up(*seen, full)), mean_quality=mean_but_poor(*seen))
     else:
         new = summarize(*seen, None if len(metric) else figures)
     return fallen_figures(old, new, keep, cells.shape[1])
 
 
-def mean_but_poor(found: CellFigures) -> float:
+def mean_but_poor(points: NDArray[np.float64], cells: NDArray[np.int32]) -> float:
     """Mean radius ratio of the cells without an angle below 20 degrees, 1 where there are none."""
+    found = cell_figures(points, cells)
     good = found.quality[found.min_angle >= SMALL]
     return float(good.mean()) if len(good) else 1.0

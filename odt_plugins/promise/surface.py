@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.figures import figures_of, summarize
+from odt_plugins.figures import measured, summarize
 from odt_plugins.mesh.components import components
 from odt_plugins.mesh.facets import row_keys
 from odt_plugins.mesh.seen import NO_METRIC, as_seen
@@ -83,7 +83,7 @@ def broken_surface_promises(
     broken += _thawed(before, cells, regions)
     broken += _folded(before.points, before.cells, old, points, cells, new, envelope)
     if keep:
-        was = summarize(before.points, before.cells, figures_of(before))
+        was = measured(before).summary
         broken += worse_figures(was, summarize(*as_seen(points, cells, metric)), keep)
     return broken
 

@@ -17,7 +17,7 @@ from odt_plugins.figures import (
     CellFigures,
     QualitySummary,
     cell_figures,
-    figures_of,
+    measured,
     summarize,
 )
 from odt_plugins.mesh.chunks import chunks, spread
@@ -115,7 +115,7 @@ def broken_promises(
     broken += _volume_changed(before, points, cells, regions, slides=slides, threads=threads)
     broken += thawed_cells(before, cells, regions, len(points))
     if keep:
-        old = summarize(before.points, before.cells, figures_of(before, threads))
+        old = measured(before, threads).summary
         now = summarize(*seen, None if len(metric) else found)
         if before.valid_before is not None:
             valid = summarize(*before.valid_before)

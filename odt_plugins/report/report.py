@@ -17,7 +17,7 @@ from odt_plugins.errors import UnsupportedMeshError
 from odt_plugins.figures import (
     QualitySummary,
     cell_figures,
-    figures_of,
+    measured,
     summarize,
     volumes,
     volumes_of,
@@ -301,7 +301,7 @@ def make_report(
     nodes : int             points of the result, unless they are those of the outcome
     **told                  fields of the report that only the adapters know
     """
-    old = figures_of(before, options.threads)
+    old = measured(before, options.threads)
     there = as_seen(outcome.points, outcome.cells, outcome.metric)
     plain = None if len(outcome.metric) else outcome.figures(options.threads)
     new = plain or cell_figures(*there, options.threads)
@@ -332,7 +332,7 @@ def make_report(
         untangled = {**tangle.facts, "worse": worse_than_valid(tangle, after, tuple(options.keep))}
     return Report(
         dim=before.dim,
-        before=replace(summarize(before.points, before.cells, old), turned=before.turned,
+        before=replace(old.summary, turned=before.turned,
                        volume=float(volumes_of(before).sum())),
         after=after,
         histogram_before=histogram(old.quality),

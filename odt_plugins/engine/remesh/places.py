@@ -13,7 +13,6 @@ from odt_plugins.engine.record.relaxed import relaxed, spoiling
 from odt_plugins.engine.remesh.distance import astray
 from odt_plugins.engine.remesh.sizes import Sizes, lengths_of
 from odt_plugins.engine.run.outcome import Outcome
-from odt_plugins.figures import cell_figures
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray, LongArray
 from odt_plugins.mesh.seen import as_seen
 from odt_plugins.mesh.simplex import SimplexMesh, vertices_of
@@ -36,8 +35,7 @@ def seen_figures(mesh: SimplexMesh | Outcome, full: int = 0) -> Figures:
     seen = as_seen(mesh.points, mesh.cells, mesh.metric)
     if not full:
         return figures(*seen)
-    mean = mean_but_poor(cell_figures(*seen))
-    return replace(figures(*filled_up(*seen, full)), mean_quality=mean)
+    return replace(figures(*filled_up(*seen, full)), mean_quality=mean_but_poor(*seen))
 
 
 def allowed_figures(mesh: SimplexMesh, options: Options, full: int = 0) -> Figures:

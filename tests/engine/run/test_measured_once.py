@@ -47,5 +47,5 @@ def test_other_arrays_are_measured_anew():
     assert wider.volume == pytest.approx(8.0 * found.volume)
     fewer = replace(outcome, cells=mesh.cells[:5], regions=mesh.regions[:5]).figures()
     assert np.array_equal(fewer.volume, found.volume[:5])
-    assert figures.figures_of(mesh) is figures.figures_of(mesh)
-    assert np.array_equal(figures.figures_of(mesh).quality, found.quality)
+    assert figures.measured(mesh) is figures.measured(mesh)
+    assert np.array_equal(figures.measured(mesh).quality, found.quality)
