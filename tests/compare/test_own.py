@@ -32,6 +32,7 @@ def here():
     with in_this_process():
         yield
 
+
 CONTESTANT = '''
 def still(points, cells, labels):
     assert labels is None or len(labels) == len(cells)

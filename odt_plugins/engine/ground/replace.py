@@ -64,8 +64,8 @@ def facing(
     """Cosine between the normal of (a, b, c) and that of the ground under its barycentre.
 
     The ground is reached from the feet of the corners, of which that counts where it is largest:
-    a foot on a crease may lie on the other side. None is looked at any more where it is ``enough``
-    when ``slack`` is taken off. -1 for a flat triangle.
+    a foot on a crease may lie on the other side. The search ends where the cosine less ``slack`` is
+    at least ``enough``. -1 for a flat triangle.
     """
     _, _, _, nx, ny, nz = triangle_in_space(points, a, b, c)
     length = math.sqrt(nx * nx + ny * ny + nz * nz)

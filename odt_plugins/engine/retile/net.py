@@ -271,7 +271,7 @@ def fits(net: Net, rules: Rules, room: Room, centre: int, old: int, new: int) ->
 
 @kernel
 def _turned(net: Net, rules: Rules, room: Room, old: int, new: int) -> bool:
-    """Whether a new triangle faces less as the ground does than all must, and than the old ones."""
+    """Whether a new triangle has less than the least cosine of `facing`, and than old ones have."""
     p, foot, ground, least = net.points, net.foot, rules.ground, rules.cosine
     poorest = 1.0
     for i in range(new):
