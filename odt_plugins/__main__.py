@@ -20,12 +20,14 @@ def start() -> int:
     """
     gc.set_threshold(RARELY)
     command, *words = sys.argv[1:] or [""]
-    if command in READING and not {"-h", "--help"} & {*words}:
-        apart.make_ready_for(words)
-    from odt_plugins.cli.main import main
-
     try:
+        if command in READING and not {"-h", "--help"} & {*words}:
+            apart.make_ready_for(words)
+        from odt_plugins.cli.main import main
+
         return main()
+    except KeyboardInterrupt:
+        sys.exit("odt-plugins: stopped before it began")
     finally:
         gc.collect()
         gc.freeze()

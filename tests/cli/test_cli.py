@@ -552,6 +552,22 @@ def test_a_stopped_run_leaves_no_file_and_says_so(place: Path, name: str) -> Non
     assert sorted(p.name for p in place.iterdir()) == ["in.vtu", "started"]
 
 
+def test_a_run_stopped_while_libraries_are_loaded_says_so() -> None:
+    script = textwrap.dedent("""
+        import sys
+        from odt_plugins.__main__ import start
+        class Stopping:
+            def find_spec(name, path=None, target=None):
+                if name == "click":
+                    raise KeyboardInterrupt
+        sys.meta_path.insert(0, Stopping)
+        sys.exit(start())
+    """)
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True,
+                          check=False)
+    assert (done.returncode, done.stderr) == (1, "odt-plugins: stopped before it began\n")
+
+
 def test_a_reader_that_closes_the_pipe_gets_no_traceback(place: Path) -> None:
     read, write = os.pipe()
     os.close(read)
