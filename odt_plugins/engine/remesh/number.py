@@ -21,6 +21,10 @@ ROUGHLY = 0.1
 """Part by which that number may be off where the first result did not keep the promise: a result
 that is nearer to it often leaves more as it is."""
 
+MUCH, LITTLE = 1.1, 0.2
+"""Corrections end with one that makes sizes by so much longer or shorter, and less than such a part
+of what the number is off: the envelope or a feature allows no more."""
+
 LEAST_POWER = 0.4
 """Least power of the sizes by which a number of cells changes, as a part of the dimension."""
 
@@ -88,18 +92,21 @@ def factor_towards(
     factor : float      to be tried first, then 1 where it fails
     """
     counts: dict[float, int] = {}
-    nearest = factor
+    nearest, last, off = factor, factor, math.inf
     for _ in range(CORRECTIONS + 1):
-        found = count(factor)
+        found, held = count(factor), False
         if found is not None:
-            counts[factor] = found
+            counts[factor], before, off = found, off, float(found - goal.number)
+            held = (off * before > 0.0 and abs(off) > (1.0 - LITTLE) * abs(before)
+                    and max(factor / last, last / factor) > MUCH)
+            last = factor
         if not counts:
             if factor == 1.0:
                 break
             nearest = factor = 1.0
             continue
         nearest = min(counts, key=lambda tried: abs(counts[tried] - goal.number))
-        if abs(counts[nearest] / goal.number - 1.0) <= near():
+        if held or abs(counts[nearest] / goal.number - 1.0) <= near():
             break
         factor = (factor_for(counts, goal.number, goal.dim) if factor in counts
                   else math.sqrt(factor * nearest))

@@ -50,6 +50,19 @@ def test_where_all_fail_no_further_sizes_are_tried():
     assert asked == [1.5, 1.0]
 
 
+@pytest.mark.parametrize("goal", [300, 3_000_000])
+def test_where_other_sizes_change_little_no_further_ones_are_tried(goal):
+    counts = {}
+
+    def count(factor):
+        counts[factor] = round(30_000 * factor**-0.1)
+        return counts[factor]
+
+    factor = factor_towards(Goal(goal, "cells", 3), count, lambda: NEAR, 1.0)
+    assert len(counts) == 2
+    assert factor == min(counts, key=lambda tried: abs(counts[tried] - goal))
+
+
 @pytest.mark.parametrize("what", ["cells", "vertices"])
 def test_a_number_is_met_by_one_mesh_that_is_finished(monkeypatch, what):
     finished, once = [], run._once
