@@ -143,6 +143,8 @@ def write_and_read(path: Path, mesh: Any, name: str, binary: bool | None = None)
     sink = _writer(name, like)
     sink.SetFileName(str(path))
     dataset = _polydata(mesh) if name == "vtp" or like.surface else _grid(mesh)
+    if name == "vtk" and not like.old:
+        _name_wide(dataset)
     if like.path is not None:
         source = _reader(like.format)
         source.SetFileName(str(like.path))
@@ -166,6 +168,20 @@ def _escape(dataset: Any) -> None:
         data = getattr(dataset, f"Get{home}Data")()
         for array in map(data.GetAbstractArray, range(data.GetNumberOfArrays())):
             array.SetName(escape(array.GetName()))
+
+
+def _name_wide(dataset: Any) -> None:
+    """Have integers of 64 bits written as `vtktypeint64`: meshio knows no `long` in version 5."""
+    from vtkmodules import vtkCommonCore as vtk
+
+    wide = {vtk.vtkLongArray().GetDataType(): vtk.vtkLongLongArray,
+            vtk.vtkUnsignedLongArray().GetDataType(): vtk.vtkUnsignedLongLongArray}
+    for data in (dataset.GetPointData(), dataset.GetCellData(), dataset.GetFieldData()):
+        for array in map(data.GetAbstractArray, range(data.GetNumberOfArrays())):
+            if array.GetDataType() in wide:
+                made = wide[array.GetDataType()]()
+                made.DeepCopy(array)
+                data.AddArray(made)
 
 
 def _values(dataset: Any, home: str, name: str) -> NDArray[Any] | None:
@@ -211,6 +227,7 @@ def as_before(out: Any, source: Any, *, narrow: bool) -> None:
     """Give arrays the types, names of components, information and roles of those of a dataset.
 
     Legacy files have 32 bits for ids, too `narrow` for some: these are numbers of 64 bits there.
+    What was read as `vtktypeint64` VTK would write as `long`.
     """
     from vtkmodules.vtkCommonDataModel import vtkDataSetAttributes
 
@@ -263,6 +280,8 @@ def _same_type(now: Any, was: Any, *, narrow: bool) -> bool:
     """Whether an array may become one of the class of another: of ids, or of bits."""
     if was.IsA("vtkBitArray"):
         return not now.IsA("vtkStringArray") and set(np.unique(as_numpy(now)).tolist()) <= {0, 1}
+    if narrow and was.GetClassName().startswith("vtkType"):
+        return False
     values = as_numpy(now)
     if narrow and was.IsA("vtkIdTypeArray") and np.abs(values).max(initial=0) >= 2**31:
         return False

@@ -38,6 +38,20 @@ def _grid():
 
 
 @pytest.mark.parametrize("binary", [True, False], ids=["binary", "text"])
+def test_meshio_reads_integers_of_64_bits_in_legacy_files(binary, tmp_path):
+    points, cells, labels = contract.grid(3, 4)
+    mesh = meshio.Mesh(points, [("tetra", cells)], {"id": np.arange(len(points))},
+                       {"marker": [labels.astype(np.int64)], "u": [labels.astype(np.uint64)]})
+    mesh.write(tmp_path / "in.vtk", binary=binary)
+    odt_plugins.optimize(tmp_path / "in.vtk", target=tmp_path / "out.vtk")
+    out = meshio.read(tmp_path / "out.vtk")
+    assert np.array_equal(out.point_data["id"], np.arange(len(points)))
+    for name, values in mesh.cell_data.items():
+        assert out.cell_data[name][0].dtype.newbyteorder("=") == values[0].dtype
+        assert np.array_equal(np.unique(out.cell_data[name][0]), np.unique(values[0]))
+
+
+@pytest.mark.parametrize("binary", [True, False], ids=["binary", "text"])
 @pytest.mark.parametrize("suffix", [".vtk", ".vtu"])
 def test_all_arrays_of_a_grid_come_back_in_their_types(suffix, binary, tmp_path):
     mesh = _grid()
