@@ -29,6 +29,9 @@ PARTLY = "the command untangle with --partial"
 JOINED = "an INPUT whose geometries are joined to one"
 """What there is to try on the command line where Python has a method of scenes."""
 
+OF_DOMAINS = {"h0": "size", "level": "levels", "most_points": "most_points"}
+"""Flags of the command mesh, by arguments of the functions that it calls."""
+
 
 class ShareOption(click.Option):
     """A switch, or a number that follows it."""
@@ -176,21 +179,24 @@ def in_flags(text: str) -> str:
     from odt_plugins.adapters.trimesh_scene import TOGETHER
     from odt_plugins.remeshing import WISHES
 
+    def called(found: re.Match[str]) -> str:
+        return OF_DOMAINS.get(found[1], found[1]).replace("_", "-")
+
     def flag(found: re.Match[str]) -> str:
-        name = found[1].replace("_", "-")
+        name = called(found)
         parts = re.findall(r"""'([^']*)'|"([^"]*)"|([-+.\w]+)""", found[2])
         value = ",".join("".join(part) for part in parts)
         plain = {"True": f"--{name}", "False": f"--no-{name}", "None": f"--{name} none"}
         return plain.get(value, f"--{name} {shlex.quote(value) if value else 'none'}")
 
     own = (name for name, about in OPTIONS.items() if about.metadata["flag"] is not None)
-    names = "|".join(("size", *WISHES, *own))
+    names = "|".join(("size", "file_format", *OF_DOMAINS, *WISHES, *own))
     value = r"""'[^']*'|"[^"]*"|\([^()]*\)|[-+.\w]*\w"""
     text = text.replace(TOGETHER, JOINED).replace("untangle(mesh, partial=True)", PARTLY)
     text = re.sub(r"smoothing=\{'(\w+)': '?([^{}']*)'?\}", r"--smoothing \1=\2", text)
     text = re.sub(rf"(?<![\w.-])({names})=({value})", flag, text)
     return re.sub(rf"(?<![\w.-])({names})=(?=[\s,.;)]|$)",
-                  lambda found: "--" + found[1].replace("_", "-"), text)
+                  lambda found: "--" + called(found), text)
 
 
 def one_line(message: object) -> str:

@@ -157,7 +157,7 @@ def odtmesh2d(
                 return mesh.points, mesh.cells
     what, name = (f"level={level}", "level") if level else (f"h0={h0:g}", "h0")
     msg = (f"got {what}, too coarse for this domain: {reason}; expected edges shorter than its "
-           f"narrowest part, try a smaller {name}")
+           f"narrowest part, try a smaller {name}=")
     raise InvalidOptionError(msg) from reason
 
 
@@ -261,7 +261,7 @@ def _plan(domain: Domain, h0: float, fixed: FloatArray, most_points: int) -> Pla
     if count > most_points:
         fitting = h0 * math.sqrt(count / most_points)
         msg = (f"got h0={h0:g}, which gives about {count:.3g} points, more than "
-               f"{most_points}; try h0={fitting:.2g} or a larger most_points")
+               f"{most_points}; try h0={fitting:.2g} or a larger most_points=")
         raise InvalidOptionError(msg)
     if count < FEWEST / 4:
         msg = (f"got h0={h0:g}, which gives about {counted(round(count), 'point')} for this "

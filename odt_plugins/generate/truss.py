@@ -219,6 +219,6 @@ def distmesh2d(
         points = truss_smoothing(points, domain, len(fixed), h0 / least, steps, tolerance)
         cells = triangulate(points, domain, h0 / least)
     if not len(cells):
-        msg = f"got h0={h0:g}, for which no triangle is inside; try a smaller h0"
+        msg = f"got h0={h0:g}, for which no triangle is inside; try a smaller h0="
         raise InvalidOptionError(msg)
     return points, cells

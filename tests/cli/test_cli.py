@@ -655,6 +655,10 @@ print(gc.get_threshold()[0] == __main__.RARELY, gc.get_freeze_count() > 1000)
     ("regions=('my part', 'b')", "--regions 'my part,b'"), ("size='0,2'", "--size 0,2"),
     ("regions=None", "--regions none"), ("envelope=0.002; q=3", "--envelope 0.002; q=3"),
     ("progress=True, my.keep=(1)", "progress=True, my.keep=(1)"),
+    ("got h0=-1.0; try h0=0.2 or a larger most_points=",
+     "got --size -1.0; try --size 0.2 or a larger --most-points"),
+    ("got level=9; try a smaller level=", "got --levels 9; try a smaller --levels"),
+    ("got file_format='gmsh41' for a.vtu", "got --file-format gmsh41 for a.vtu"),
     ("or untangle(mesh, partial=True) for", "or the command untangle with --partial for"),
 ])
 def test_options_are_named_by_their_flags(said, flags):

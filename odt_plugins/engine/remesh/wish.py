@@ -45,8 +45,9 @@ class Wish:
         held = (self.length is not None or self.given or self.curved, *(
             getattr(self, name) is not None for name in words[1:]))
         if sum(held) != 1:
-            said = [name for name, there in zip(words, held, strict=True) if there] or "none"
-            msg = f"got {said}; expected one of size, scale, cells and vertices, try scale=1"
+            said = [f"{name}=" for name, there in zip(words, held, strict=True) if there]
+            msg = (f"got {' and '.join(said) or 'none'}; expected one of size, scale, cells and "
+                   "vertices, try scale=1")
             raise InvalidOptionError(msg)
         for name, value in (("size", self.length), ("scale", self.scale)):
             if value is not None:

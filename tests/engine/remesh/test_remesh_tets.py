@@ -182,7 +182,7 @@ def test_a_field_grows_no_faster_than_allowed():
     ({"size": 0.001}, "most_cells"),
     ({"scale": 0}, "scale=0"),
     ({"cells": 2.5}, "cells=2.5"),
-    ({"size": 0.1, "scale": 2}, "one of size, scale, cells and vertices"),
+    ({"size": 0.1, "scale": 2}, "size= and scale=; expected one of size, scale, cells"),
     ({}, "one of size, scale, cells and vertices"),
     ({"scale": 1, "growth": 1.0}, "growth=1.0"),
     ({"scale": 1, "density": "uniform"}, "density="),
