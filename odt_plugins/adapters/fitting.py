@@ -26,6 +26,7 @@ from odt_plugins.adapters.set_labels import (
     are_within,
     join_sets,
     mask_of,
+    number_turned,
     numbers_of,
     of_sets,
     within,
@@ -203,6 +204,8 @@ def fitted(mesh: Any, name: str) -> tuple[Any, list[str]]:
     _reorder(out, form)
     if name in ("gmsh", "gmsh22"):
         return _with_tags(out, name), lost
+    if name in ("netgen", "su2"):
+        number_turned(out)
     named = named_groups(out)
     join_sets(out, named)
     out.gmsh_periodic = None
@@ -365,7 +368,8 @@ def _points_of(mesh: Any) -> dict[str, NDArray[np.int64]]:
 def named_groups(mesh: Any) -> dict[str, list[Any]]:
     """Cell sets of the named groups of Gmsh and Netgen, as their labels tell them.
 
-    Groups of one dimension that have the same name in their file are one set.
+    Groups of one dimension that have the same name in their file are one set. A number below 0
+    tells of a group whose entity is turned there.
     """
     groups = mesh.cell_data.get(PHYSICAL, mesh.cell_data.get(NETGEN))
     if groups is None:
@@ -374,7 +378,7 @@ def named_groups(mesh: Any) -> dict[str, list[Any]]:
     for tags in same_names(mesh.field_data):
         title = next(iter(tags))
         dim = mesh.field_data[title][1]
-        out[title] = [np.flatnonzero(np.isin(np.asarray(group), [*tags.values()]))
+        out[title] = [np.flatnonzero(np.isin(np.abs(group), [*tags.values()]))
                       if block.dim == dim else np.zeros(0, dtype=np.int64)
                       for block, group in zip(mesh.cells, groups, strict=True)]
     return out

@@ -163,7 +163,7 @@ def as_sets(mesh: Any, name: str, *, masks: bool = True) -> tuple[Any, list[str]
             continue
         for number in there.tolist():
             rows = [(part == number) & inside for part, inside in zip(parts, own, strict=True)]
-            if (dim, number) not in groups and (number or not physical) and not any(
+            if (dim, abs(number)) not in groups and (number or not physical) and not any(
                     all(map(np.array_equal, rows, same)) for same in known):
                 sets[_free(f"{KINDS[dim]}{number}", mesh)] = list(map(np.flatnonzero, rows))
     out = mesh.copy()
@@ -224,6 +224,18 @@ def _tell(sets: list[NDArray[np.bool_]], labels: NDArray[Any]) -> bool:
     alike = classes_of(sets, len(labels))[1]
     both = classes_of([alike, labels], len(labels))[1]
     return len(np.unique(alike)) == len(np.unique(both))
+
+
+def number_turned(mesh: Any) -> None:
+    """Give cells of entities that are turned in a named group of Gmsh, which have its number below
+    0, the number itself.
+    """
+    groups = mesh.cell_data.get(GROUPS[0], [])
+    for i, (block, part) in enumerate(zip(mesh.cells, groups, strict=False)):
+        named = [-value[0] for value in mesh.field_data.values()
+                 if np.shape(value) == (2,) and value[1] == block.dim]
+        if np.asarray(part).dtype.kind == "i":
+            groups[i] = np.where(np.isin(part, named), np.abs(part), part)
 
 
 def _free(name: str, mesh: Any) -> str:

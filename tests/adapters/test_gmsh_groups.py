@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import warnings
+
 import meshio
 import numpy as np
 import pytest
 from gmsh_sessions import session
 
 from odt_plugins.adapters.files import read_file, write_file
+from odt_plugins.adapters.fitting import named_groups
 from odt_plugins.api import optimize_file
 from odt_plugins.cli.main import main
 from odt_plugins.errors import DataNotKeptWarning, MeshFileError
@@ -116,6 +119,40 @@ def test_groups_of_the_same_name_stay_apart(gmsh, binary, version, tmp_path):
         assert volumes(gmsh, target) == expected
     write_file(tmp_path / "b.inp", mesh)
     assert {"wall", "wall (3D)"} <= {*read_file(tmp_path / "b.inp").cell_sets}
+
+
+@pytest.mark.parametrize("binary", [0, 1])
+@pytest.mark.parametrize("suffix", [".med", ".e", ".inp", ".cgns", ".su2", ".vol", ".vtu", ".msh",
+                                    ".xdmf"])
+def test_groups_with_turned_entities_keep_name_and_members(gmsh, suffix, binary, tmp_path):
+    gmsh.model.occ.addBox(0, 0, 0, 1, 1, 1)
+    gmsh.model.occ.synchronize()
+    wanted = {"both": [1, -2], "plain": [3], "turned": [-4]}
+    gmsh.model.addPhysicalGroup(3, [1], 1, "all")
+    for tag, (name, entities) in enumerate(wanted.items(), 7):
+        gmsh.model.addPhysicalGroup(2, entities, tag, name)
+    gmsh.option.setNumber("Mesh.MeshSizeMax", 0.35)
+    gmsh.model.mesh.generate(3)
+    gmsh.option.setNumber("Mesh.Binary", binary)
+    gmsh.write(str(tmp_path / "a.msh"))
+    before = volumes(gmsh, tmp_path / "a.msh")
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", DataNotKeptWarning)
+        optimize_file(tmp_path / "a.msh", tmp_path / f"b{suffix}",
+                      file_format="gmsh22" if suffix == ".msh" else None)
+    assert suffix != ".msh" or volumes(gmsh, tmp_path / "b.msh") == before
+    back = read_file(tmp_path / f"b{suffix}")
+    if suffix == ".xdmf":
+        assert not any("values of" in str(one.message) for one in caught)
+        back.cell_sets = {name: [np.flatnonzero(part) for part in back.cell_data[name]]
+                          for name in wanted}
+    else:
+        assert not any(f"{name!r}" in str(one.message) for name in wanted for one in caught)
+    sets = named_groups(back) | back.cell_sets
+    assert {name for name in sets if "Surface" in name} == set()
+    skin = sum(len(block.data) for block in back.cells if block.type == "triangle")
+    for name, entities in wanted.items():
+        assert sum(map(len, sets[name])) == skin * len(entities) // 4
 
 
 @pytest.mark.parametrize("suffix", [".inp", ".bdf", ".f3grid"])

@@ -119,7 +119,7 @@ def with_copies(mesh: Any) -> Any:
                 continue
             given = np.asarray(members[i])
             rows = np.flatnonzero(given) if given.dtype == np.bool_ else given.astype(np.int64)
-            rows = rows[np.asarray(mesh.cell_data[PHYSICAL][i])[rows] != group[0]]
+            rows = rows[np.abs(mesh.cell_data[PHYSICAL][i])[rows] != group[0]]
             if not len(rows):
                 continue
             cells.append(CellBlock(block.type, np.asarray(block.data)[rows]))

@@ -326,13 +326,13 @@ def _mesh(nodes: Any, blocks: Any, entities: Any, names: Any, data: Any) -> Any:
         cell_data[PARTITION] = part
     own = np.array([entities.get(key, none).parent or key for key in map(tuple, of_nodes.tolist())])
     named = {(int(of), int(group)) for group, of in names.values()}
-    beside = {(dim, group) for entity, (dim, _, _, _) in zip(found, blocks, strict=True)
+    beside = {(dim, abs(group)) for entity, (dim, _, _, _) in zip(found, blocks, strict=True)
               for group in entity.physical[1:]} - named
     every = [(name, {(int(of), int(group))}) for name, (group, of) in names.items()]
     every += [(UNNAMED.format(tag), {key for key in beside if key[1] == tag})
               for tag in sorted({tag for _, tag in beside})]
     sets: dict[str, list[Any]] = {
-        name: [np.arange(count if groups & {(dim, tag) for tag in entity.physical} else 0)
+        name: [np.arange(count if groups & {(dim, abs(tag)) for tag in entity.physical} else 0)
                for count, entity, (dim, _, _, _) in zip(size, found, blocks, strict=True)]
         for name, groups in every}
     if entities and PARTITION not in cell_data:
