@@ -25,6 +25,9 @@ MUCH, LITTLE = 1.1, 0.2
 """Corrections end with one that makes sizes by so much longer or shorter, and less than such a part
 of what the number is off: the envelope or a feature allows no more."""
 
+AS_MADE = 1.4
+"""Sizes that give the fewest cells, as multiples of those that an envelope allowed, about."""
+
 LEAST_POWER = 0.4
 """Least power of the sizes by which a number of cells changes, as a part of the dimension."""
 
@@ -71,6 +74,10 @@ class Goal(NamedTuple):
         """Part by which that is another number."""
         return abs(self.count(outcome) / self.number - 1.0)
 
+    def nearest(self, counts: dict[float, int]) -> float:
+        """The factor on sizes with which the number is nearest, of those known."""
+        return min(counts, key=lambda factor: abs(counts[factor] - self.number))
+
 
 def goal_of(wish: Wish, dim: int) -> Goal | None:
     """What number is asked for, None for none."""
@@ -105,12 +112,30 @@ def factor_towards(
                 break
             nearest = factor = 1.0
             continue
-        nearest = min(counts, key=lambda tried: abs(counts[tried] - goal.number))
-        if held or abs(counts[nearest] / goal.number - 1.0) <= near():
+        nearest = goal.nearest(counts)
+        if abs(counts[nearest] / goal.number - 1.0) <= near():
             break
+        if held:
+            return nearest if off < 0.0 else _fewest(goal, count, counts)
         factor = (factor_for(counts, goal.number, goal.dim) if factor in counts
                   else math.sqrt(factor * nearest))
         factor = max(factor, FURTHEST ** (-1.0 / goal.dim))
         if factor in counts:
             break
     return nearest
+
+
+def _fewest(
+    goal: Goal, count: Callable[[float], int | None], counts: dict[float, int]
+) -> float:
+    """The factor whose number is nearest where no sizes make as few as are asked for.
+
+    Sizes much longer than an envelope allows make more than those that are about as long.
+    """
+    longest = goal.nearest(counts)
+    factor = AS_MADE * longest * (goal.number / counts[longest]) ** (1.0 / goal.dim)
+    for tried in (factor, math.sqrt(factor * longest)):
+        found = count(tried) if factor < longest == goal.nearest(counts) else None
+        if found is not None:
+            counts[tried] = found
+    return goal.nearest(counts)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -146,7 +147,7 @@ def _towards(
     """A mesh with about so many cells or vertices.
 
     Tetrahedra are resized until their number is about right before a mesh is finished and judged;
-    what that changes is corrected then.
+    what that changes is corrected then, but where resizing cannot reach the number.
     """
     nearest: dict[float, Made] = {}
     best, spent = unchanged(mesh, ""), 0.0
@@ -179,10 +180,12 @@ def _towards(
             best = outcome
         return None if outcome.origin is None else goal.count(outcome)
 
-    factor = 1.0
+    factor, out_of_reach = 1.0, False
     if mesh.dim == 3:
         factor = factor_towards(goal, resized, lambda: NEAR, factor)
-    factor_towards(goal, kept, lambda: ROUGHLY if known else NEAR, factor)
+        out_of_reach = any(goal.off(made[0].outcome) > ROUGHLY for made in nearest.values())
+    factor_towards(
+        goal, kept, lambda: math.inf if out_of_reach else ROUGHLY if known else NEAR, factor)
     if mesh.dim == 3:
         best = replace(best, times=sums(best.times, {"resizing": spent}))
     if goal.off(best) > NEAR:

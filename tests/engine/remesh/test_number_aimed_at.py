@@ -50,8 +50,8 @@ def test_where_all_fail_no_further_sizes_are_tried():
     assert asked == [1.5, 1.0]
 
 
-@pytest.mark.parametrize("goal", [300, 3_000_000])
-def test_where_other_sizes_change_little_no_further_ones_are_tried(goal):
+@pytest.mark.parametrize(("goal", "tried"), [(300, 4), (3_000_000, 2)])
+def test_where_other_sizes_change_little_no_further_ones_are_tried(goal, tried):
     counts = {}
 
     def count(factor):
@@ -59,8 +59,32 @@ def test_where_other_sizes_change_little_no_further_ones_are_tried(goal):
         return counts[factor]
 
     factor = factor_towards(Goal(goal, "cells", 3), count, lambda: NEAR, 1.0)
-    assert len(counts) == 2
-    assert factor == min(counts, key=lambda tried: abs(counts[tried] - goal))
+    assert len(counts) == tried
+    assert factor == min(counts, key=lambda one: abs(counts[one] - goal))
+
+
+def test_where_no_sizes_make_as_few_those_about_as_long_as_what_is_made_are_tried():
+    def count(factor):
+        allowed = 0.4
+        return round(20_000 * (max(factor, allowed) / allowed)**0.1
+                     * (min(factor, allowed) / allowed)**-3.0)
+
+    factor = factor_towards(Goal(500, "cells", 3), count, lambda: NEAR, 1.0)
+    assert count(factor) < 0.95 * min(count(1.0), count(2.0))
+
+
+@pytest.mark.parametrize("poor", [1, 3])
+def test_a_number_that_resizing_cannot_reach_is_finished_once(monkeypatch, poor):
+    finished, once = [], run._once
+
+    def counted(attempt, *rest):
+        finished.append(attempt)
+        return once(attempt, *rest)
+
+    monkeypatch.setattr(run, "_once", counted)
+    _, cells = odt_plugins.remesh(ball(300, poor), cells=5, threads=1)
+    assert len(finished) == 1
+    assert len(cells) > 10
 
 
 @pytest.mark.parametrize("what", ["cells", "vertices"])
