@@ -27,10 +27,13 @@ class Kind(Enum):
 
 
 class Broken(NamedTuple):
-    """What of the promise a mesh breaks, in a sentence, and of which kind it is."""
+    """What of the promise a mesh breaks, in a sentence, of which kind it is, and whether sizes that
+    give way to the surface would change nothing.
+    """
 
     why: str
     kind: Kind = Kind.OTHER
+    firm: bool = False
 
 
 def too_far(what: str, envelope: float) -> Broken:

@@ -46,12 +46,14 @@ class Resized(NamedTuple):
     lengths : (n,) float64   that edges are to have at the vertices
     multiple : (n,) float64  of these that was asked for
     lines : (k, 2) int32     feature lines
+    firm : bool              whether sizes that give way to the surface would change nothing
     """
 
     outcome: Outcome
     lengths: FloatArray
     multiple: FloatArray
     lines: IntArray
+    firm: bool
 
 
 def finished(

@@ -109,7 +109,8 @@ def remedy(
         mesh, outcome, attempt.sizes, options, attempt.full)
     falls = not far.any() and _fallen(
         mesh, outcome, options, attempt.full, few=bool(0.0 < spoiled.mean() <= FEW_SPOILED))
-    found = _other_sizes(mesh, attempt, spoiled, slides=slides) if falls else None
+    found = _other_sizes(
+        mesh, attempt, spoiled, slides=slides, firm=broken.firm) if falls else None
     if found is None:
         small = of_small_regions(mesh, outcome)
         found = (_less_envelope(mesh, attempt, outcome, broken, far, small)
@@ -130,11 +131,15 @@ def _fallen(
 
 
 def _other_sizes(
-    mesh: SimplexMesh, attempt: Attempt, spoiled: BoolArray, *, slides: bool
+    mesh: SimplexMesh, attempt: Attempt, spoiled: BoolArray, *, slides: bool, firm: bool
 ) -> Attempt | None:
-    """Sizes that give way to those that the surface has reached, then to those of the input."""
+    """Sizes that give way to those that the surface has reached, where that changes something, then
+    to those of the input.
+    """
     if slides and not attempt.relents and (attempt.sizes.values > CLOSE * local_sizes(mesh)).any():
-        return attempt._replace(relents=True)
+        attempt = attempt._replace(relents=True)
+        if not firm:
+            return attempt
     sizes = nearer(mesh, attempt.sizes, spoiled)
     return None if sizes is None else attempt._replace(sizes=sizes)
 

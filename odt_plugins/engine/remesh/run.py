@@ -350,15 +350,23 @@ def _once(
     made: Made | None,
 ) -> tuple[Outcome, Broken | None]:
     """Resize within a share of the envelope, optimise within the rest, and judge."""
-    mesh, share = attempt.mesh, attempt.share
-    report = options.progress or silent
     clock = time.perf_counter()
     try:
-        given, log = made or _resized(
-            attempt, asked, options, partial(part(report, 0.0, 0.4), "resizing"))
+        made = made or _resized(attempt, asked, options, partial(
+            part(options.progress or silent, 0.0, 0.4), "resizing"))
     except InvalidMeshError:
         why = "cells overlap where the surface folded over itself"
-        return unchanged(mesh, why), Broken(why)
+        return unchanged(attempt.mesh, why), Broken(why)
+    outcome, broken = _completed(attempt, made, options, leaving, room, clock)
+    return outcome, broken and broken._replace(firm=made[0].firm)
+
+
+def _completed(
+    attempt: Attempt, made: Made, options: Options, leaving: Leaving, room: Room, clock: float,
+) -> tuple[Outcome, Broken | None]:
+    """Optimise what was resized from a time on within the rest of the envelope, and judge."""
+    mesh, share, (given, log) = attempt.mesh, attempt.share, made
+    report = options.progress or silent
     resized, envelope = given.outcome, envelope_length(mesh, options)
     onto = mesh.smooth if share > 0.0 else None
     left = envelope
@@ -468,4 +476,5 @@ def _resized(
             Faces(number[s.rows[live]], label[s.tag[live]])))
     outcome = replace(outcome, faces=(faces[0], faces[1]))
     lines = number[work.body.segments.rows[work.body.segments.live()]].reshape(-1, 2)
-    return Resized(outcome, lengths, outside(multiple, asked / sizes.values), lines), log
+    multiple = outside(multiple, asked / sizes.values)
+    return Resized(outcome, lengths, multiple, lines, work.firm), log

@@ -101,6 +101,7 @@ class Resizing:
     relents : bool                 whether sizes give way where the surface stays finer
     most : float                   cells, about, beyond which they do not
     crowded : float                cells from which on none are split
+    firm : bool                    whether sizes that gave way would change nothing
     """
 
     body: Body
@@ -114,6 +115,7 @@ class Resizing:
     relents: bool
     most: float
     crowded: float
+    firm: bool = True
 
     def sizes(self, pool: Pool | None) -> None:
         """Take the sizes of the field at the places where vertices are now."""
@@ -143,6 +145,7 @@ class Resizing:
             field = relented(self.field, self.body, reached, self.own, self.growth)
             if cells_of_sizes(field.nodes[:, :3], field.cells, field.nodes[:, 3]) <= self.most:
                 self.field = field
+        self.firm = self.relents or not stuck
 
 
 def resize(work: Resizing, slides: bool, pool: Pool | None, tick: Callable[[float], None],

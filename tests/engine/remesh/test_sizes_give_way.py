@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import boxes
 import numpy as np
 import pytest
 from tet_meshes import ball, signed_volumes
@@ -123,3 +124,19 @@ def test_sizes_corrected_for_a_number_begin_with_what_kept_the_promise(monkeypat
     outcome = run.remesh(mesh, Options(boundary="slide"), as_it_is, Wish(cells=goal))
     assert [attempt.mesh.frozen.any() for attempt in attempts] == [False, True, True][:tries]
     assert len(outcome.cells) == pytest.approx(goal, rel=0.1)
+
+
+@pytest.mark.parametrize("thin", [0.03, 0.1])
+def test_no_attempt_repeats_the_one_before(monkeypatch, thin):
+    made, real = [], run._resized
+
+    def resized(*given):
+        found = real(*given)
+        made.append(found[0].outcome.cells)
+        return found
+
+    monkeypatch.setattr(run, "_resized", resized)
+    points, cells = boxes.box(3, 6)
+    odt_plugins.remesh((points * [1.0, 1.0, thin], cells), scale=2)
+    assert len(made) > 1
+    assert not any(map(np.array_equal, made, made[1:]))
