@@ -191,6 +191,9 @@ def _towards(
     if goal.off(best) > NEAR:
         note = (f"{goal.count(best)} {goal.what} are as near to the {goal.number} asked for as "
                 "the promise allows")
+        if goal.count(best) > goal.number:
+            note += ", try " + (
+                "a larger envelope=" if options.boundary == "slide" else "boundary='slide'")
         best = replace(best, notes=(note, *best.notes))
     return best
 
