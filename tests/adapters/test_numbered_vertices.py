@@ -75,6 +75,29 @@ def test_parts_of_kratos_have_the_nodes_of_their_elements_and_conditions(scale, 
             row[0] for row in told[table]}
 
 
+@pytest.mark.parametrize("scale", [0.6, 1.5])
+def test_nodes_of_kratos_are_where_readers_that_go_by_the_order_expect_them(scale, tmp_path):
+    """meshio ignores the numbers of nodes."""
+    source, target = tmp_path / "a.mdpa", tmp_path / "b.mdpa"
+    mdpa(source)
+    text = source.read_text() + "Begin NodalData TEMPERATURE\n" + rows(
+        [v + 1, 0, x] for v, (x, _, _) in enumerate(solid()[0].tolist())) + "End NodalData\n"
+    text = text.replace("SmallDisplacementElement3D4N", "Tetrahedra3D4")
+    source.write_text(text.replace("SurfaceLoadCondition3D3N", "Triangle3D3"))
+    write_file(target, remesh(read_file(source), scale=scale))
+    mesh, told = meshio.read(target), sections(target)
+    x = mesh.points[mesh.cells_dict["tetra"]]
+    size = np.einsum("ij,ij->i", np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), x[:, 3] - x[:, 0])
+    assert abs(size.sum() / 6 - np.prod(np.ptp(mesh.points, axis=0))) < 1e-9
+    left = np.unique(mesh.cells_dict["triangle"])
+    assert np.allclose(mesh.points[left][:, 0], 0)
+    part = [int(row[0]) - 1 for row in told["SubModelPart Left/SubModelPartNodes"]]
+    assert sorted(part) == left.tolist()
+    heat = np.array([[float(word) for word in row] for row in told["NodalData TEMPERATURE"]])
+    assert heat[:, 0].tolist() == list(range(1, len(mesh.points) + 1))
+    assert np.allclose(heat[:, 2], mesh.points[:, 0])
+
+
 @pytest.mark.filterwarnings("error")
 def test_node_sets_of_sides_take_no_nodes_that_come_inside(tmp_path):
     source, target = tmp_path / "a.inp", tmp_path / "b.inp"

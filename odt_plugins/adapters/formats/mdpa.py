@@ -43,6 +43,11 @@ SOLID = {2: "line", 3: "triangle", 4: "tetra", 5: "pyramid", 6: "wedge", 8: "hex
          10: "tetra10", 13: "pyramid13", 15: "wedge15", 20: "hexahedron20"}
 """Types of cells by their numbers of nodes, in the plane or of surfaces, and in space."""
 
+KNOWN = re.compile("Nodes|(Nodal|Elemental|Conditional)Data|Properties|Table|ModelPartData|"
+                   "Elements|Conditions|Geometries|(SubModelPart|Mesh)(Data|Tables|Properties|"
+                   "Nodes|Elements|Conditions|Geometries)?")
+"""Sections in which it is known where nodes are named."""
+
 
 class Section(NamedTuple):
     """The rows between Begin and End, with the kind, the words after it, and the part around."""
@@ -173,12 +178,39 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
             joined = _nodes_of(change, section.part, names) if entity == "Nodes" else set()
             edits += _members(data, section, entity, names, joined)
     edits = [edit for edit in edits if data[edit[0]: edit[1]] != edit[2]]
-    target.write_bytes(edited(data, edits))
+    data = edited(data, edits)
+    target.write_bytes(_counted(data) if change.renumbered and _countable(parts) else data)
     known = change.before.point_data
     stale = [s.name for s in parts.sections if s.kind == "NodalData" and s.name not in known
              and len(s.rows) == len(parts.nodes) and change.moved.any()]
     text = f"nodal data {', '.join(stale)} where nodes moved (those of before there)"
     return [text] if stale else []
+
+
+def _countable(parts: Parts) -> bool:
+    """Whether nodes are numbered from 1 on, in their order, and it is known where they are named.
+
+    Some readers take the order of nodes for their numbers.
+    """
+    counted = [number for _, number in parts.number] == [*range(1, len(parts.nodes) + 1)]
+    return counted and all(KNOWN.fullmatch(section.kind) for section in parts.sections)
+
+
+def _counted(data: bytes) -> bytes:
+    """A file with its nodes numbered from 1 on, in their order."""
+    parts = _parsed(data)
+    edits = []
+    for section in parts.sections:
+        first, stop = ENTITIES.get(section.kind, 0), None
+        if section.kind in ("Nodes", "NodalData"):
+            stop = 1
+        elif section.kind not in ENTITIES and _listed(section) != "Nodes":
+            continue
+        for row in section.rows:
+            named = enumerate(row.words[first:stop], first)
+            edits.append(as_lines(data, row, [
+                {i: parts.number["", int(word)] + 1 for i, word in named}]))
+    return edited(data, edits)
 
 
 def _listed(section: Section) -> str:
