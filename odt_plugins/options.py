@@ -338,10 +338,11 @@ class Options:
             expect(lab.cycles == 1, *worded("cycles", lab.cycles), "1 without finishing")
         if self.metric is not None:
             self._expect_of_metric()
-        expect(self.finish or not self.insert, "insert", self.insert, "False without finishing")
+        good = self.finish or not self.insert
+        expect(good, "insert", self.insert, "insert=False without finishing")
         good = lab.connectivity != "none" or not self.insert
-        expect(good, "insert", self.insert, "False with smoothing={'connectivity': 'none'}, since "
-               "vertices that come change cells; try another connectivity")
+        expect(good, "insert", self.insert, "insert=False with smoothing={'connectivity': "
+               "'none'}: new vertices change cells; try another connectivity")
         for name, known in (("keep", FIGURES), ("free", STAYS)):
             value = getattr(self, name)
             words = (value,) if isinstance(value, str) else value
@@ -354,16 +355,15 @@ class Options:
         what = "None, True or a callable progress(stage, fraction)"
         expect(good, "progress", self.progress, what)
 
-
     def _expect_of_metric(self) -> None:
         """Refuse what knows no metric."""
         for name, known in (("density", ("keep", "uniform")), ("method", ("odt", "cpt")),
                             ("solver", ("gauss-seidel", "jacobi")),
-                            ("connectivity", ("auto", "flips", "none")), ("insert", (False,))):
+                            ("connectivity", ("auto", "flips", "none"))):
             value = getattr(self.smoothing if name in SMOOTHING else self, name)
-            good = isinstance(value, str | bool) and value in known
-            what = f"{' or '.join(map(str, known))} with a metric"
-            expect(good, *worded(name, value), what)
+            good = isinstance(value, str) and value in known
+            expect(good, *worded(name, value), f"{' or '.join(known)} with a metric")
+        expect(not self.insert, "insert", self.insert, "insert=False with a metric")
 
 
 OPTIONS = {about.name: about for about in dataclasses.fields(Options)}

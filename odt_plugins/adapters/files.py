@@ -374,8 +374,8 @@ def chosen_format(
     """
     name = _formats(path)[0]
     if file_format is not None and (name != "gmsh" or file_format not in FILE_FORMATS):
-        msg = (f"got file_format={file_format!r} for {path.name}; expected None or, for .msh "
-               f"files, one of {', '.join(FILE_FORMATS)}")
+        msg = (f"got file_format={file_format!r} for {path.name}; expected one of "
+               f"{', '.join(FILE_FORMATS)}, for .msh files alone")
         raise InvalidOptionError(msg)
     if name == "gmsh" and mesh is not None:
         tags = {gmsh_tables.PHYSICAL, gmsh_tables.ENTITY} & set(mesh.cell_data)
@@ -387,7 +387,7 @@ def chosen_format(
             binary = not (isinstance(mesh.info, dict) and mesh.info.get("text"))
     if binary is not None and not (name in FORMS and FORMS[name].text):
         kind = "binary" if binary else "text"
-        msg = f"got {kind} files for {path.name}; expected None, the format has only one kind"
+        msg = f"got {kind} files for {path.name}; expected no choice, the format has only one kind"
         raise InvalidOptionError(msg)
     return name, binary
 

@@ -149,7 +149,7 @@ def test_the_version_and_the_kind_of_a_file_can_be_asked_for(model, tmp_path):
     for name, given, message in (
             ("out.vtu", {"file_format": "gmsh22"}, r"got file_format='gmsh22' for out\.vtu"),
             ("out.msh", {"file_format": "gmsh"}, r"one of gmsh22, gmsh41"),
-            ("out.mesh", {"binary": True}, r"got binary files for out\.mesh; expected None")):
+            ("out.mesh", {"binary": True}, r"got binary files for out\.mesh; expected no choice")):
         with pytest.raises(InvalidOptionError, match=message):
             odt_plugins.optimize(model / "22.msh", target=tmp_path / name, **given)
 

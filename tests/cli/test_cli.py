@@ -690,6 +690,13 @@ def test_a_printed_report_names_flags(tmp_path, monkeypatch, capsys):
      "expected None unless the solver is a"),
     ("tetrahedralize skin.vtu o.vtu --feature-angle 30", "--boundary slide or --levels"),
     ("batch ball.vtu --out o --edge-length 0.1", "expected --tetrahedralize beside it"),
+    ("optimize ball.vtu o.e --ascii", "expected no choice, the format has only"),
+    ("optimize ball.vtu o.e --file-format gmsh22", "expected one of gmsh22, gmsh41, for .msh"),
+    ("optimize ball.vtu o.vtu --metric input --insert 0.3",
+     "got --insert 0.3; expected --no-insert with a metric"),
+    ("optimize ball.vtu o.vtu --no-finish --insert", "expected --no-insert without finishing"),
+    ("optimize ball.vtu o.vtu --insert --smoothing connectivity=none",
+     "got --insert; expected --no-insert with --smoothing connectivity=none"),
 ])
 def test_flags_without_effect_are_refused(tmp_path, monkeypatch, capsys, words, said):
     monkeypatch.chdir(tmp_path)

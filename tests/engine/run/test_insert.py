@@ -557,7 +557,7 @@ def test_a_surface_that_slides_is_left_where_it_slid():
 
 
 def test_insertion_needs_finishing():
-    with pytest.raises(InvalidOptionError, match="got insert=True; expected False without"):
+    with pytest.raises(InvalidOptionError, match="got insert=True; expected insert=False without"):
         Options(insert=True, finish=False)
 
 
