@@ -75,9 +75,24 @@ def placed(mesh: Any, path: Path, points: NDArray[Any]) -> list[NDArray[np.float
 
 def replaced(mesh: Any, results: dict[Path, Any]) -> Any:
     """Copy the caller's object and put the results in the places of the blocks."""
-    out = mesh.copy(deep=True)
+    out = _copied(mesh)
     for path, block in results.items():
         part_at(out, path[:-1]).replace(path[-1], block)
+    return out
+
+
+def _copied(mesh: Any) -> Any:
+    """A deep copy, block by block: pyvista makes none of tables that stand deeper than here."""
+    if mesh is None or not matches(mesh):
+        return mesh if mesh is None else mesh.copy(deep=True)
+    out = type(mesh)()
+    out.n_blocks = mesh.n_blocks
+    for i in range(mesh.n_blocks):
+        out[i] = _copied(mesh[i])
+        if mesh.HasMetaData(i):
+            out.GetMetaData(i).Copy(mesh.GetMetaData(i), 1)
+    out.GetFieldData().DeepCopy(mesh.GetFieldData())
+    out.copy_meta_from(mesh, deep=True)
     return out
 
 

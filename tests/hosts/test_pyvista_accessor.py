@@ -239,6 +239,21 @@ def test_blocks_are_optimised_one_by_one():
     assert blocks.odt.optimize()["tets"] == out["tets"]
 
 
+def test_tables_deep_in_a_multiblock_stay():
+    inner = pyvista.MultiBlock({"table": pyvista.Table({"x": np.arange(3)}), "none": None})
+    inner.add_field_data(["a"], "told")
+    blocks = pyvista.MultiBlock({"tets": contract.HOSTS["pyvista-tet-float32"].make(),
+                                 "inner": inner})
+    blocks.field_data["time"] = [2.5]
+    out = odt_plugins.optimize(blocks, smoothing={"rounds": 1}, finish=False)
+    assert out.keys() == ["tets", "inner"]
+    assert out["inner"].keys() == ["table", "none"]
+    assert list(out["inner"].field_data["told"]) == ["a"]
+    assert list(out.field_data["time"]) == [2.5]
+    out["inner"]["table"]["x"][0] = 7
+    assert list(inner["table"]["x"]) == [0, 1, 2]
+
+
 def test_blocks_of_triangles_alone_are_optimised():
     plane = contract.HOSTS["pyvista-polydata"].make()
     blocks = pyvista.MultiBlock([plane, pyvista.Line()])
