@@ -109,8 +109,8 @@ def _on_surface(
 
     A new triangle belongs to the chart under its barycentre. A wedge takes the coordinates that
     this chart has at the vertex: those of the old wedge where the vertex did not move, else
-    interpolated, on a seam between those at the ends of its edge. Where a triangle lies across a
-    seam, the triangle under it is continued.
+    interpolated, on a seam between those at the ends of its edge, of several at one vertex those
+    nearest to the triangle under it. Where a triangle lies across a seam, that one is continued.
 
     Warns
     -----
@@ -118,32 +118,36 @@ def _on_surface(
     """
     chart, _ = charts(uv, cells)
     own = chart[feet.under]
-    count = int(chart.max()) + 1
+    count, flat = int(chart.max()) + 1, uv.reshape(-1, 2)
     key = cells.ravel().astype(np.int64) * count + np.repeat(chart, 3)
-    order = np.argsort(key, kind="stable")
     known = new if feet.origin is None else feet.origin[new]
-    wanted = known.astype(np.int64) * count + own[:, None]
-    at = np.minimum(np.searchsorted(key[order], wanted), len(key) - 1)
-    wedge = order[at]
     row = np.full(int(max(new.max(), feet.vertex.max(initial=0))) + 1, -1)
     row[feet.vertex] = np.arange(len(feet.vertex))
     place = row[new]
 
-    out: NDArray[np.floating]
-    out = np.einsum("mcw,mwk->mck", feet.corners, uv[feet.under]).astype(uv.dtype)
-    stays = (place < 0) & (key[wedge] == wanted)
-    out[stays] = uv.reshape(-1, 2)[wedge[stays]]
-    inside = (place >= 0) & (chart[feet.face[place]] == own[:, None])
-    out[inside] = _interpolated(uv[feet.face], feet)[place[inside]]
+    ahead = np.einsum("mcw,mwk->mck", feet.corners, uv[feet.under]).astype(uv.dtype)
+    out: NDArray[np.floating] = ahead.copy()
+    wanted = known.astype(np.int64) * count + own[:, None]
+    wedge = _nearest(key, wanted.ravel(), flat, ahead.reshape(-1, 2)).reshape(wanted.shape)
+    most = 2.0 * (np.ptp(ahead, axis=1) + np.ptp(uv[feet.under], axis=1))
+    most[~_cut(key, chart, flat)[own]] = np.inf
+    stays = (place < 0) & (wedge >= 0) & _near(flat[wedge], ahead, most[:, None])
+    out[stays] = flat[wedge[stays]]
+    there = _interpolated(uv[feet.face], feet)[place] if len(feet.face) else ahead
+    inside = (place >= 0) & _near(there, ahead, most[:, None])
+    inside[inside] = (chart[feet.face[place]] == own[:, None])[inside]
+    out[inside] = there[inside]
     face, corner = np.nonzero((place >= 0) & ~inside)
     foot = place[face, corner]
     weight = np.where(np.abs(feet.weights[foot]) > ON_SEAM, feet.weights[foot], 0.0)
     wanted = cells[feet.face[foot]].astype(np.int64) * count + own[face, None]
-    at = np.minimum(np.searchsorted(key[order], wanted), len(key) - 1)
-    on = ((weight == 0.0) | (key[order[at]] == wanted)).all(axis=1)
-    shares = weight[on] / weight[on].sum(axis=1, keepdims=True)
-    there = (shares[..., None] * uv.reshape(-1, 2)[order[at[on]]]).sum(axis=1)
-    out[face[on], corner[on]] = there.astype(uv.dtype)
+    wedge = _nearest(key, wanted.ravel(), flat, np.repeat(ahead[face, corner], 3, axis=0))
+    wedge = wedge.reshape(wanted.shape)
+    shares = weight / weight.sum(axis=1, keepdims=True)
+    there = (shares[..., None] * flat[wedge]).sum(axis=1).astype(uv.dtype)
+    near = _near(flat[wedge], ahead[face, corner][:, None], most[face][:, None])
+    on = ((weight == 0.0) | ((wedge >= 0) & near)).all(axis=1)
+    out[face[on], corner[on]] = there[on]
     inside[face[on], corner[on]] = True
     across = int((~(stays | inside)).any(axis=1).sum())
     if across:
@@ -151,6 +155,47 @@ def _on_surface(
                "which is continued there beyond its charts; to keep the seams try "
                f"regions={CHARTS!r}")
         warn(msg, DataNotKeptWarning)
+    return out
+
+
+def _cut(
+    key: NDArray[np.int64], chart: NDArray[np.int64], flat: NDArray[np.floating]
+) -> NDArray[np.bool_]:
+    """Charts that have several coordinates at one vertex, as one around a cylinder has."""
+    order = np.argsort(key, kind="stable")
+    other = (key[order][1:] == key[order][:-1]) & (flat[order][1:] != flat[order][:-1]).any(axis=1)
+    out = np.zeros(int(chart.max()) + 1, dtype=np.bool_)
+    out[np.repeat(chart, 3)[order[1:][other]]] = True
+    return out
+
+
+def _near(
+    values: NDArray[np.floating], ahead: NDArray[np.floating], most: NDArray[np.floating]
+) -> NDArray[np.bool_]:
+    """Whether values lie no farther from those ahead than others on this side of a seam do."""
+    return np.asarray((np.abs(values - ahead) <= most).all(axis=-1))
+
+
+def _nearest(
+    key: NDArray[np.integer], wanted: NDArray[np.integer], flat: NDArray[np.floating],
+    near: NDArray[np.floating],
+) -> NDArray[np.int64]:
+    """Of the wedges with the wanted keys (k,) those nearest to places (k, 2) in the texture.
+
+    Returns
+    -------
+    (k,) int64    -1 where no wedge has the key
+    """
+    order = np.argsort(key, kind="stable")
+    low = np.searchsorted(key[order], wanted, side="left")
+    size = np.searchsorted(key[order], wanted, side="right") - low
+    row = np.repeat(np.arange(len(wanted)), size)
+    first = np.cumsum(size) - size
+    wedge = order[np.arange(len(row)) - np.repeat(first, size) + low[row]]
+    away = ((flat[wedge] - near[row]) ** 2).sum(axis=1)
+    best = np.lexsort((wedge, away, row))
+    out = np.full(len(wanted), -1, dtype=np.int64)
+    out[size > 0] = wedge[best[first[size > 0]]]
     return out
 
 
@@ -227,19 +272,9 @@ def _of_sources(
     face, corner = np.nonzero(todo)
     if not len(face):
         return out
-    vertex = cells.ravel()
-    order = np.argsort(vertex, kind="stable")
-    wanted = result.cells[face, corner]
-    low = np.searchsorted(vertex[order], wanted, side="left")
-    size = np.searchsorted(vertex[order], wanted, side="right") - low
-    row = np.repeat(np.arange(len(face)), size)
-    wedge = order[np.arange(len(row)) - np.repeat(np.cumsum(size) - size, size) + low[row]]
     flat = uv.reshape(-1, 2)
-    middle = uv[result.source[face[row]]].mean(axis=1, dtype=np.float64)
-    away = ((flat[wedge] - middle) ** 2).sum(axis=1)
-    best = np.lexsort((wedge, away, row))
-    first = best[np.cumsum(size) - size]
-    out[face, corner] = flat[wedge[first]]
+    middle = uv[result.source[face]].mean(axis=1, dtype=np.float64)
+    out[face, corner] = flat[_nearest(cells.ravel(), result.cells[face, corner], flat, middle)]
     return out
 
 

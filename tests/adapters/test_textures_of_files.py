@@ -71,3 +71,45 @@ def test_they_follow_the_surface_in_files(suffix, names, tmp_path):
     before, back = read_file(source), read_file(target)
     assert np.abs(back.points - before.points).max() > 0.01
     np.testing.assert_allclose(texture_of(back, names), back.points[:, :2], atol=1e-6)
+
+
+def tube(path, n=24, rows=6):
+    """Write a tube whose texture goes once around, with one seam, as OBJ."""
+    turn = np.linspace(0.0, 1.0, n + 1)
+    u, z = (part.ravel() for part in np.meshgrid(turn, np.linspace(0, 1, rows + 1)))
+    number = np.arange((n + 1) * (rows + 1)).reshape(rows + 1, n + 1)
+    a, b, c, d = (part.ravel() for part in (number[:-1, :-1], number[:-1, 1:], number[1:, 1:],
+                                            number[1:, :-1]))
+    place = np.unique(np.stack([np.round(z * rows), np.round(u * n) % n], axis=1), axis=0,
+                      return_index=True, return_inverse=True)
+    x = np.stack([np.cos(2 * np.pi * u), np.sin(2 * np.pi * u), z], axis=1)[place[1]]
+    lines = ["v {} {} {}".format(*row) for row in x.tolist()]
+    lines += [f"vt {s} {t}" for s, t in zip(u.tolist(), z.tolist(), strict=True)]
+    for tri in np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)]):
+        lines.append("f " + " ".join(f"{place[2].ravel()[i] + 1}/{i + 1}" for i in tri.tolist()))
+    path.write_text("\n".join(lines) + "\n")
+
+
+def wedges(path):
+    """Places (m, 3, 3) and texture coordinates (m, 3, 2) of the corners in an OBJ file."""
+    rows = [line.split() for line in path.read_text().splitlines()]
+    x, uv = (np.array([row[1:] for row in rows if row[0] == head], dtype=float)
+             for head in ("v", "vt"))
+    at = np.array([[word.split("/")[:2] for word in row[1:]] for row in rows if row[0] == "f"])
+    return x[at[..., 0].astype(int) - 1], uv[at[..., 1].astype(int) - 1]
+
+
+@pytest.mark.filterwarnings("ignore:.*across seams")
+@pytest.mark.parametrize("how", [{}, {"scale": 0.7}, {"scale": 1.4}])
+def test_a_texture_that_goes_around_goes_on_across_its_seam(how, tmp_path):
+    """A vertex of the seam has two coordinates in one chart; one of them is far off."""
+    source, target = tmp_path / "a.obj", tmp_path / "b.obj"
+    tube(source)
+    mesh = read_file(source)
+    write_file(target, odt_plugins.remesh(mesh, envelope=0.02, **how) if how else
+                     odt_plugins.optimize(mesh, envelope=0.02))
+    x, uv = wedges(target)
+    assert np.ptp(uv[..., 0], axis=1).max() < 0.3
+    error = uv[..., 0] - np.arctan2(x[..., 1], x[..., 0]) / (2 * np.pi)
+    assert np.abs(error - np.round(error)).max() < 0.01
+    assert np.abs(uv[..., 1] - x[..., 2]).max() < 0.01
