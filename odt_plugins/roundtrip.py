@@ -32,7 +32,7 @@ from odt_plugins.adapters.kept import (
 )
 from odt_plugins.adapters.regions import AUTO, CHARTS, are_names
 from odt_plugins.adapters.registry import find_adapter
-from odt_plugins.adapters.wedges import glued, without_seams
+from odt_plugins.adapters.wedges import glued, with_seams, without_seams
 from odt_plugins.aside import note, of_cells, of_optimised, seen, with_others, without_others
 from odt_plugins.bending import leaving_bent, middles, note_on_flatter, with_bent
 from odt_plugins.carry import cell_origin, in_input_order, surrounding_cells
@@ -301,7 +301,8 @@ def _checked(
     points, frame = flat
     labels: Any = host.regions
     on_surface = host.cells.shape[1] == points.shape[1]
-    host = without_seams(host) if on_surface and not keep_seams else host
+    if on_surface or keep_seams:
+        host = with_seams(host) if keep_seams else without_seams(host)
     if host.blocks is not None:
         labels = compact_labels(labels, len(host.cells)).astype(np.int64)
         labels = labels * (int(host.blocks.max()) + 1) + host.blocks

@@ -296,6 +296,15 @@ def glued(host: HostMesh, same: NDArray[np.int64]) -> HostMesh:
     return replace(host, cells=cells, blocks=blocks, kept=tuple(kept), anchors=anchors)
 
 
+def with_seams(host: HostMesh) -> HostMesh:
+    """The same with what keeps the seams of a texture of wedges, also where it had nothing."""
+    uv = host.texture
+    if host.blocks is not None or uv is None or uv.ndim != 3 or host.cells.shape[1] != 3:
+        return host
+    blocks, seams = charts(uv, host.cells)
+    return replace(host, blocks=blocks, kept=(*host.kept, seams))
+
+
 def without_seams(host: HostMesh) -> HostMesh:
     """The same with nothing that keeps the seams of a texture."""
     if not host.textured:

@@ -113,3 +113,18 @@ def test_a_texture_that_goes_around_goes_on_across_its_seam(how, tmp_path):
     error = uv[..., 0] - np.arctan2(x[..., 1], x[..., 0]) / (2 * np.pi)
     assert np.abs(error - np.round(error)).max() < 0.01
     assert np.abs(uv[..., 1] - x[..., 2]).max() < 0.01
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("how", [{}, {"scale": 0.7}, {"scale": 1.4}])
+def test_seams_of_the_texture_of_an_obj_file_stay_where_charts_are_regions(how, tmp_path):
+    source, target = tmp_path / "a.obj", tmp_path / "b.obj"
+    tube(source)
+    mesh = read_file(source)
+    run = odt_plugins.remesh if how else odt_plugins.optimize
+    write_file(target, run(mesh, envelope=0.02, regions="charts", **how))
+    x, uv = wedges(target)
+    seam = np.abs(x - [1, 0, 0])[..., :2].max(axis=2) < 1e-9
+    assert (np.abs(uv[..., 0] - 0.5)[seam] == 0.5).all()
+    assert np.abs(uv[..., 0] - 0.5).max() == 0.5
+    assert np.ptp(uv[..., 0], axis=1).max() < 0.3
