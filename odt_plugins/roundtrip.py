@@ -200,7 +200,7 @@ def run_engine(
     result = Result(
         points, as_indices(cells, work.host.cells), source, work.mesh.is_surface,
         feet_of(work.host, work.mesh, places, cells, outcome.origin,
-                follow=interpolates(work, options)),
+                follow=interpolates(work, options), soup=work.same is not None),
         data.vertices if not work.host.higher_order else None,
         locate=locating(work, given, options.threads) if fields else None, same=same,
         of_cells=data.of_cells, faces=faces,

@@ -1,0 +1,74 @@
+"""Seams of a texture along which vertices are doubled, as readers of OBJ files make them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pymeshlab
+import pytest
+import pyvista
+import trimesh
+
+import odt_plugins
+
+open3d = pytest.importorskip("open3d")
+
+
+def around(radius, n=32, m=12):
+    """A surface around the axis with the profile: places, triangles, coordinates of vertices."""
+    i, j = np.meshgrid(np.arange(n + 1), np.arange(m + 1), indexing="ij")
+    turn, r, z = 2 * np.pi * (i % n) / n, *radius(j / m)
+    points = np.stack([r * np.cos(turn), r * np.sin(turn), z], axis=-1).reshape(-1, 3)
+    at = np.arange(i.size).reshape(i.shape)
+    a, b, c, d = (at[p, q].ravel() for p, q in (
+        (slice(-1), slice(-1)), (slice(1, None), slice(-1)), (slice(1, None), slice(1, None)),
+        (slice(-1), slice(1, None))))
+    cells = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+    return points, cells, np.stack([i / n, j / m], axis=-1).reshape(-1, 2)
+
+
+SURFACES = {
+    "sphere": lambda v: (np.sin(np.pi * (0.05 + 0.9 * v)), -np.cos(np.pi * (0.05 + 0.9 * v))),
+    "tube": lambda v: (1.0 + 0.0 * v, 2 * v),
+    "cone": lambda v: (1.1 - v, 2 * v),
+}
+
+
+def made(kind, points, cells, uv):
+    """A mesh of a toolkit, and how to read coordinates and places of the corners of triangles."""
+    if kind == "open3d":
+        mesh = open3d.geometry.TriangleMesh(open3d.utility.Vector3dVector(points),
+                                            open3d.utility.Vector3iVector(cells))
+        mesh.triangle_uvs = open3d.utility.Vector2dVector(uv[cells].reshape(-1, 2))
+        return mesh, lambda out: (np.asarray(out.triangle_uvs).reshape(-1, 3, 2),
+                                  np.asarray(out.vertices)[np.asarray(out.triangles)])
+    if kind == "tensor":
+        mesh = open3d.t.geometry.TriangleMesh(points.astype(np.float32), cells.astype(np.int32))
+        mesh.vertex["texture_uvs"] = open3d.core.Tensor(uv)
+        return mesh, lambda out: (x[out.triangle.indices.numpy()] for x in (
+            out.vertex["texture_uvs"].numpy(), out.vertex.positions.numpy()))
+    if kind == "trimesh":
+        mesh = trimesh.Trimesh(points, cells, process=False)
+        mesh.visual = trimesh.visual.TextureVisuals(uv=uv)
+        return mesh, lambda out: (out.visual.uv[out.faces], out.vertices[out.faces])
+    if kind == "pyvista":
+        mesh = pyvista.PolyData.from_regular_faces(points, cells)
+        mesh.active_texture_coordinates = uv
+        return mesh, lambda out: (np.array(out.active_texture_coordinates)[out.regular_faces],
+                                  out.points[out.regular_faces])
+    mesh = pymeshlab.Mesh(points, cells, w_tex_coords_matrix=uv[cells].reshape(-1, 2))
+    return mesh, lambda out: (out.wedge_tex_coord_matrix().reshape(-1, 3, 2),
+                              out.vertex_matrix()[out.face_matrix()])
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("kind", ["open3d", "tensor", "trimesh", "pyvista", "pymeshlab"])
+@pytest.mark.parametrize("surface", SURFACES)
+@pytest.mark.parametrize("scale", [0.8, 1.5])
+def test_triangles_on_both_sides_keep_their_own(kind, surface, scale):
+    points, cells, uv = around(SURFACES[surface])
+    mesh, read = made(kind, points, cells, uv)
+    found, places = read(odt_plugins.remesh(mesh, scale=scale))
+    assert len(found) != len(cells)
+    assert np.ptp(found, axis=1).max() < 0.4
+    off = found[..., 0] - np.arctan2(places[..., 1], places[..., 0]) / (2 * np.pi)
+    assert np.abs(off - np.round(off)).max() < 0.01
