@@ -191,6 +191,11 @@ def new_vertices(
         beside[outcome.cells] = source[:, None]
         near = np.where(origin < 0, beside, near)
     cell, weights = around(written[placed].astype(np.float64), near[placed])
+    if before.is_surface and work.same is None:
+        from odt_plugins.engine.surface.sides import on_own_side
+
+        cell, weights = on_own_side(before.points, before.cells, (cell, weights),
+                                    outcome.points, outcome.cells, np.flatnonzero(placed))
     number = new_numbers(origin, n)[:n].astype(np.int64)
 
     @cache

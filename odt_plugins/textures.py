@@ -7,14 +7,7 @@ from numpy.typing import NDArray
 
 from odt_plugins.adapters.host import Feet, HostMesh
 from odt_plugins.mesh.arrays import FloatArray, IntArray
-from odt_plugins.mesh.facets import row_keys
 from odt_plugins.mesh.simplex import SimplexMesh
-
-INWARDS = 1e-3
-"""How far from an open edge to the middle of its triangle one sees on which side of a seam it is.
-
-Places of single precision are off by less.
-"""
 
 
 def feet_of(
@@ -43,6 +36,7 @@ def feet_of(
         return None
     from odt_plugins.engine.surface.in_plane import in_space
     from odt_plugins.engine.surface.judge import barycentric, feet_on
+    from odt_plugins.engine.surface.sides import on_own_side
 
     old, points = in_space(mesh.points), in_space(points)
     known = old if origin is None else old[origin]
@@ -51,34 +45,11 @@ def feet_of(
     if not moved.size and origin is None:
         return None
     rows = host.cells.astype(np.int32)
-    middle = points[cells].mean(axis=1)
-    row, inner = (_beside_open_edges(points, cells, moved, middle) if not soup
-                  else (moved[:0], middle[:0]))
-    face, weights = feet_on(old, rows, np.concatenate([points[moved], middle, inner]))
-    face, under, own = np.split(face, [len(moved), len(moved) + len(cells)])
-    weights = weights[:len(moved)]
-    far = weights[row] > INWARDS
-    shared = (rows[face[row], :, None] == rows[own][:, None, :]).any(axis=2)
-    other = (far & ~shared).any(axis=1) & ~far.all(axis=1)
-    row, own = row[other], own[other]
-    there = np.maximum(barycentric(old, rows[own], points[moved[row]]), 0.0)
-    face[row], weights[row] = own, there / there.sum(axis=1)[:, None]
-    corners = [barycentric(old, rows[under], points[cells[:, i]]) for i in range(3)]
-    return Feet(moved, face, weights, under, np.stack(corners, axis=1), origin)
-
-
-def _beside_open_edges(
-    points: FloatArray, cells: IntArray, vertices: NDArray[np.int64], middle: FloatArray
-) -> tuple[NDArray[np.int64], FloatArray]:
-    """Which of some vertices are on open edges, and a place (k, 3) inside near each of these."""
-    n = len(points)
-    ends = np.sort(cells[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    first, count = np.unique(row_keys(ends, n), return_index=True, return_counts=True)[1:]
-    edge = first[count == 1]
-    away, edges = np.zeros((n, 3)), np.zeros(n)
-    for vertex in ends[edge].T:
-        np.add.at(away, vertex, middle[edge // 3] - points[vertex])
-        np.add.at(edges, vertex, 1.0)
-    row = np.flatnonzero(edges[vertices])
-    vertex = vertices[row]
-    return row, points[vertex] + INWARDS * away[vertex] / edges[vertex, None]
+    face, weights = feet_on(old, rows, np.concatenate([points[moved], points[cells].mean(axis=1)]))
+    k = len(moved)
+    feet = face[:k], weights[:k]
+    if not soup:
+        feet = on_own_side(old, rows, feet, points, cells, moved)
+    under = rows[face[k:]]
+    corners = [barycentric(old, under, points[cells[:, i]]) for i in range(3)]
+    return Feet(moved, *feet, face[k:], np.stack(corners, axis=1), origin)

@@ -72,3 +72,19 @@ def test_triangles_on_both_sides_keep_their_own(kind, surface, scale):
     assert np.ptp(found, axis=1).max() < 0.4
     off = found[..., 0] - np.arctan2(places[..., 1], places[..., 0]) / (2 * np.pi)
     assert np.abs(off - np.round(off)).max() < 0.01
+
+
+@pytest.mark.parametrize("kind", ["open3d", "pyvista"])
+@pytest.mark.parametrize("surface", ["sphere", "cone"])
+@pytest.mark.parametrize("scale", [0.8, 1.5])
+def test_fields_of_vertices_do_not_mix_across_the_seam(kind, surface, scale):
+    points, cells, uv = around(SURFACES[surface])
+    mesh, _ = made(kind, points, cells, uv)
+    if kind == "open3d":
+        mesh.vertex_colors = open3d.utility.Vector3dVector(uv[:, [0, 1, 1]])
+    else:
+        mesh.point_data["turn"] = uv[:, 0]
+    out = odt_plugins.remesh(mesh, scale=scale)
+    found = (np.asarray(out.vertex_colors)[np.asarray(out.triangles), 0] if kind == "open3d"
+             else out.point_data["turn"][out.regular_faces])
+    assert np.ptp(found, axis=1).max() < 0.4
