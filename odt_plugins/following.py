@@ -191,7 +191,7 @@ def new_vertices(
         beside[outcome.cells] = source[:, None]
         near = np.where(origin < 0, beside, near)
     cell, weights = around(written[placed].astype(np.float64), near[placed])
-    if before.is_surface and work.same is None:
+    if before.is_surface and (work.same is None or outcome.origin is not None):
         from odt_plugins.engine.surface.sides import on_own_side
 
         cell, weights = on_own_side(before.points, before.cells, (cell, weights),

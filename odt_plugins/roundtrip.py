@@ -63,7 +63,7 @@ from odt_plugins.mesh.simplex import (
     reverse,
     simplex_mesh,
 )
-from odt_plugins.mesh.soup import at_copies, same_places
+from odt_plugins.mesh.soup import at_copies, first_there, same_places
 from odt_plugins.mesh.surface import surface_mesh
 from odt_plugins.mesh.tangled import tangled_mesh
 from odt_plugins.metric.looks import ADVICE, MOST, looks_anisotropic
@@ -200,7 +200,7 @@ def run_engine(
     result = Result(
         points, as_indices(cells, work.host.cells), source, work.mesh.is_surface,
         feet_of(work.host, work.mesh, places, cells, outcome.origin,
-                follow=interpolates(work, options), soup=work.same is not None),
+                follow=interpolates(work, options), same=work.same),
         data.vertices if not work.host.higher_order else None,
         locate=locating(work, given, options.threads) if fields else None, same=same,
         of_cells=data.of_cells, faces=faces,
@@ -372,7 +372,8 @@ def _of_soup(
 ) -> Prepared:
     """The curved surface of a soup, vertices at the same place as one; others as they were found.
 
-    Where vertices have texture coordinates those that have several stay.
+    Where vertices have texture coordinates those at the same place with others stay apart, unless
+    most cells would.
 
     Warns
     -----
@@ -382,6 +383,10 @@ def _of_soup(
     why = ""
     if found.mesh.is_surface:
         of_vertices = host.texture is not None and host.texture.ndim == 2
+        if of_vertices:
+            apart = first_there(np.concatenate([host.points, host.texture], axis=1))
+            if same_places(host.points, apart[host.cells.astype(np.int64)]) is None:
+                same = apart
         try:
             merged = work(glued(host, same), keep_seams=keep_seams or of_vertices)
         except InvalidMeshError as exc:

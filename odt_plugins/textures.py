@@ -12,7 +12,8 @@ from odt_plugins.mesh.simplex import SimplexMesh
 
 def feet_of(
     host: HostMesh, mesh: SimplexMesh, points: FloatArray, cells: IntArray,
-    origin: NDArray[np.int64] | None, *, follow: bool, soup: bool,
+    origin: NDArray[np.int64] | None, *, follow: bool,
+    same: NDArray[np.int64] | None = None,
 ) -> Feet | None:
     """Feet of the vertices that moved along a textured surface or in its plane, or came.
 
@@ -25,7 +26,7 @@ def feet_of(
     points : (n', d) float64, cells : (m', 3) int
     origin : (n',) int or None            input vertex of every vertex where some came or went
     follow : bool                         whether those in a plane follow where none came or went
-    soup : bool                           whether cells that meet do not share their vertices
+    same : (n,) int or None               of a soup, the first vertex at the place of every vertex
 
     Returns
     -------
@@ -48,8 +49,10 @@ def feet_of(
     face, weights = feet_on(old, rows, np.concatenate([points[moved], points[cells].mean(axis=1)]))
     k = len(moved)
     feet = face[:k], weights[:k]
-    if not soup:
-        feet = on_own_side(old, rows, feet, points, cells, moved)
+    if same is not None:
+        rows = same[rows].astype(np.int32)
+    one = cells if same is None or origin is not None else same[cells]
+    feet = on_own_side(old, rows, feet, points, one, moved)
     under = rows[face[k:]]
     corners = [barycentric(old, under, points[cells[:, i]]) for i in range(3)]
     return Feet(moved, *feet, face[k:], np.stack(corners, axis=1), origin)

@@ -88,3 +88,19 @@ def test_fields_of_vertices_do_not_mix_across_the_seam(kind, surface, scale):
     found = (np.asarray(out.vertex_colors)[np.asarray(out.triangles), 0] if kind == "open3d"
              else out.point_data["turn"][out.regular_faces])
     assert np.ptp(found, axis=1).max() < 0.4
+
+
+@pytest.mark.parametrize("kind", ["tensor", "trimesh", "pyvista"])
+@pytest.mark.parametrize("surface", ["sphere", "cone"])
+@pytest.mark.parametrize("scale", [None, 0.8, 1.5])
+def test_soups_keep_all_coordinates_of_one_place(kind, surface, scale):
+    """As pyvista reads OBJ files: every triangle has vertices of its own."""
+    points, cells, uv = around(SURFACES[surface])
+    rows = np.arange(cells.size).reshape(-1, 3)
+    mesh, read = made(kind, points[cells].reshape(-1, 3), rows, uv[cells].reshape(-1, 2))
+    out = odt_plugins.remesh(mesh, scale=scale) if scale else odt_plugins.optimize(mesh)
+    found, places = read(out)
+    assert np.ptp(found, axis=1).max() < 0.4
+    off = found[..., 0] - np.arctan2(places[..., 1], places[..., 0]) / (2 * np.pi)
+    assert np.abs(off - np.round(off)).max() < 0.01
+    assert np.isin([0.0, 1.0], found[..., 0].astype(np.float32)).all()
