@@ -127,10 +127,12 @@ def _on_surface(
 
     ahead = np.einsum("mcw,mwk->mck", feet.corners, uv[feet.under]).astype(uv.dtype)
     out: NDArray[np.floating] = ahead.copy()
+    order = np.argsort(key, kind="stable")
     wanted = known.astype(np.int64) * count + own[:, None]
-    wedge = _nearest(key, wanted.ravel(), flat, ahead.reshape(-1, 2)).reshape(wanted.shape)
+    wedge = _nearest(
+        key, order, wanted.ravel(), flat, ahead.reshape(-1, 2)).reshape(wanted.shape)
     most = 2.0 * (np.ptp(ahead, axis=1) + np.ptp(uv[feet.under], axis=1))
-    most[~_cut(key, chart, flat)[own]] = np.inf
+    most[~_cut(key, order, chart, flat)[own]] = np.inf
     stays = (place < 0) & (wedge >= 0) & _near(flat[wedge], ahead, most[:, None])
     out[stays] = flat[wedge[stays]]
     there = _interpolated(uv[feet.face], feet)[place] if len(feet.face) else ahead
@@ -141,7 +143,7 @@ def _on_surface(
     foot = place[face, corner]
     weight = np.where(np.abs(feet.weights[foot]) > ON_SEAM, feet.weights[foot], 0.0)
     wanted = cells[feet.face[foot]].astype(np.int64) * count + own[face, None]
-    wedge = _nearest(key, wanted.ravel(), flat, np.repeat(ahead[face, corner], 3, axis=0))
+    wedge = _nearest(key, order, wanted.ravel(), flat, np.repeat(ahead[face, corner], 3, axis=0))
     wedge = wedge.reshape(wanted.shape)
     shares = weight / weight.sum(axis=1, keepdims=True)
     there = (shares[..., None] * flat[wedge]).sum(axis=1).astype(uv.dtype)
@@ -159,10 +161,10 @@ def _on_surface(
 
 
 def _cut(
-    key: NDArray[np.int64], chart: NDArray[np.int64], flat: NDArray[np.floating]
+    key: NDArray[np.int64], order: NDArray[np.int64], chart: NDArray[np.int64],
+    flat: NDArray[np.floating],
 ) -> NDArray[np.bool_]:
     """Charts that have several coordinates at one vertex, as one around a cylinder has."""
-    order = np.argsort(key, kind="stable")
     other = (key[order][1:] == key[order][:-1]) & (flat[order][1:] != flat[order][:-1]).any(axis=1)
     out = np.zeros(int(chart.max()) + 1, dtype=np.bool_)
     out[np.repeat(chart, 3)[order[1:][other]]] = True
@@ -177,16 +179,17 @@ def _near(
 
 
 def _nearest(
-    key: NDArray[np.integer], wanted: NDArray[np.integer], flat: NDArray[np.floating],
-    near: NDArray[np.floating],
+    key: NDArray[np.integer], order: NDArray[np.int64], wanted: NDArray[np.integer],
+    flat: NDArray[np.floating], near: NDArray[np.floating],
 ) -> NDArray[np.int64]:
     """Of the wedges with the wanted keys (k,) those nearest to places (k, 2) in the texture.
+
+    ``order`` sorts the keys.
 
     Returns
     -------
     (k,) int64    -1 where no wedge has the key
     """
-    order = np.argsort(key, kind="stable")
     low = np.searchsorted(key[order], wanted, side="left")
     size = np.searchsorted(key[order], wanted, side="right") - low
     row = np.repeat(np.arange(len(wanted)), size)
@@ -274,7 +277,9 @@ def _of_sources(
         return out
     flat = uv.reshape(-1, 2)
     middle = uv[result.source[face]].mean(axis=1, dtype=np.float64)
-    out[face, corner] = flat[_nearest(cells.ravel(), result.cells[face, corner], flat, middle)]
+    order = np.argsort(cells.ravel(), kind="stable")
+    out[face, corner] = flat[
+        _nearest(cells.ravel(), order, result.cells[face, corner], flat, middle)]
     return out
 
 

@@ -99,16 +99,20 @@ def wedges(path):
     return x[at[..., 0].astype(int) - 1], uv[at[..., 1].astype(int) - 1]
 
 
+def around(path, how):
+    """Wedges of a tube in an OBJ file after `remesh`, or `optimize` where sizes stay."""
+    source, target = path / "a.obj", path / "b.obj"
+    tube(source)
+    run = odt_plugins.remesh if "scale" in how else odt_plugins.optimize
+    write_file(target, run(read_file(source), envelope=0.02, **how))
+    return wedges(target)
+
+
 @pytest.mark.filterwarnings("ignore:.*across seams")
 @pytest.mark.parametrize("how", [{}, {"scale": 0.7}, {"scale": 1.4}])
 def test_a_texture_that_goes_around_goes_on_across_its_seam(how, tmp_path):
     """A vertex of the seam has two coordinates in one chart; one of them is far off."""
-    source, target = tmp_path / "a.obj", tmp_path / "b.obj"
-    tube(source)
-    mesh = read_file(source)
-    write_file(target, odt_plugins.remesh(mesh, envelope=0.02, **how) if how else
-                     odt_plugins.optimize(mesh, envelope=0.02))
-    x, uv = wedges(target)
+    x, uv = around(tmp_path, how)
     assert np.ptp(uv[..., 0], axis=1).max() < 0.3
     error = uv[..., 0] - np.arctan2(x[..., 1], x[..., 0]) / (2 * np.pi)
     assert np.abs(error - np.round(error)).max() < 0.01
@@ -118,12 +122,7 @@ def test_a_texture_that_goes_around_goes_on_across_its_seam(how, tmp_path):
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("how", [{}, {"scale": 0.7}, {"scale": 1.4}])
 def test_seams_of_the_texture_of_an_obj_file_stay_where_charts_are_regions(how, tmp_path):
-    source, target = tmp_path / "a.obj", tmp_path / "b.obj"
-    tube(source)
-    mesh = read_file(source)
-    run = odt_plugins.remesh if how else odt_plugins.optimize
-    write_file(target, run(mesh, envelope=0.02, regions="charts", **how))
-    x, uv = wedges(target)
+    x, uv = around(tmp_path, {"regions": "charts", **how})
     seam = np.abs(x - [1, 0, 0])[..., :2].max(axis=2) < 1e-9
     assert (np.abs(uv[..., 0] - 0.5)[seam] == 0.5).all()
     assert np.abs(uv[..., 0] - 0.5).max() == 0.5

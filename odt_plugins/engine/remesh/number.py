@@ -22,11 +22,11 @@ ROUGHLY = 0.1
 that is nearer to it often leaves more as it is."""
 
 MUCH, LITTLE = 1.1, 0.2
-"""Corrections end with one that makes sizes by so much longer or shorter, and less than such a part
-of what the number is off: the envelope or a feature allows no more."""
+"""The last correction is one that multiplies or divides sizes by more than MUCH and leaves more
+than 1 - LITTLE of what the number was off: the envelope or a feature allows no more."""
 
 AS_MADE = 1.4
-"""Sizes that give the fewest cells, as multiples of those that an envelope allowed, about."""
+"""Multiple of the sizes that an envelope allowed with which cells are about the fewest."""
 
 LEAST_POWER = 0.4
 """Least power of the sizes by which a number of cells changes, as a part of the dimension."""
