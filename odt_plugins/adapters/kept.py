@@ -431,7 +431,7 @@ def hold_places(
     """
     notes = []
     same = twins(mesh.points, mesh.cells)
-    if same.size:
+    if same.size and not (resized and mesh.is_surface):
         mesh = freeze(mesh, mesh.frozen, same)
         notes.append(f"{counted(len(same), 'vertex', 'vertices')} (first: {same[0]}) at the place "
                      f"of another one stay, so that patches do not come apart there; try merging "

@@ -104,3 +104,27 @@ def test_soups_keep_all_coordinates_of_one_place(kind, surface, scale):
     off = found[..., 0] - np.arctan2(places[..., 1], places[..., 0]) / (2 * np.pi)
     assert np.abs(off - np.round(off)).max() < 0.01
     assert np.isin([0.0, 1.0], found[..., 0].astype(np.float32)).all()
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("kind", ["open3d", "trimesh", "pyvista"])
+@pytest.mark.parametrize("scale", [0.8, 1.4])
+def test_patches_with_zigzag_rims_do_not_mix(kind, scale):
+    """Each patch is in a square of the texture of its own, as tools that unwrap surfaces lay it."""
+    ball = trimesh.creation.icosphere(4)
+    places = ball.vertices * (1.0 + 0.1 * np.sin(5.0 * ball.vertices[:, [0]]))
+    cells = np.asarray(ball.faces)
+    middle = ball.triangles_center
+    of = np.abs(middle + 0.3 * np.sin(40.0 * middle[:, [1, 2, 0]])).argmax(axis=1)
+    corner = places[cells] / 2.6 + 0.5
+    uv = np.where(of[:, None, None] == 0, corner[..., 1:], corner[..., [0, 2]])
+    uv[of == 2] = corner[of == 2][..., :2]
+    uv = (uv + of[:, None, None] * [1.0, 0.0]) * [0.3, 1.0]
+    rows, number = np.unique(
+        np.concatenate([places[cells], uv], axis=2).reshape(-1, 5), axis=0, return_inverse=True)
+    mesh, read = made(kind, rows[:, :3].copy(), number.reshape(-1, 3).astype(cells.dtype),
+                      rows[:, 3:].copy())
+    found, _ = read(odt_plugins.remesh(mesh, scale=scale, envelope=0.01))
+    square = found[..., 0] // 0.3
+    assert len(found) != len(cells)
+    assert (square == square[:, :1]).all()

@@ -9,8 +9,9 @@ ODT with rho = h^-(d + 2) follow each other, and the run of ``engine.run`` finis
 linear between vertices: `resolved` halves edges of the input first where they are not. Where cells
 or a boundary of the input stay, `beside_whole` lets sizes fall from their edges. `spoiled_cells`
 finds where of the input figures of a result fell, `gone_astray` where it left the envelope, and
-`remedy` says what is tried then. Edges of a surface without length are contracted first, by
-`welded`; `chord_metric` bounds a metric by what the envelope allows.
+`remedy` says what is tried then. Sides of a seam share their vertices for the work, by `sewn`, and
+edges of a surface without length are contracted first, by `welded`; `chord_metric` bounds a metric
+by what the envelope allows.
 
 References
 ----------

@@ -41,6 +41,7 @@ from odt_plugins.engine.remesh.remedies import (
     nearer,
     remedy,
 )
+from odt_plugins.engine.remesh.seams import as_sewn, sewn
 from odt_plugins.engine.remesh.sizes import Sizes, local_sizes
 from odt_plugins.engine.remesh.triangles import resized_triangles
 from odt_plugins.engine.remesh.volume import Resizing, arrays_of, resize
@@ -117,6 +118,9 @@ def remesh(mesh: SimplexMesh, options: Options, leaving: Leaving, wish: Wish) ->
     Outcome               a mesh that keeps the promise as it leaves, at worst the input itself
     """
     slides = mesh.is_surface and options.boundary == "slide"
+    seams = sewn(mesh) if slides else None
+    if seams is not None:
+        return as_sewn(mesh, seams, options, leaving, partial(remesh, wish=wish))
     small = welded(mesh) if slides else None
     if small is not None:
         return as_welded(mesh, small, options, leaving, partial(remesh, wish=wish))

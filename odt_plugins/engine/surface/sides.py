@@ -7,7 +7,9 @@ from numpy.typing import NDArray
 
 from odt_plugins.engine.surface.judge import barycentric, feet_on
 from odt_plugins.mesh.arrays import FloatArray, IntArray
+from odt_plugins.mesh.components import components
 from odt_plugins.mesh.facets import row_keys
+from odt_plugins.mesh.surface import surface_edges
 
 INWARDS = 1e-3
 """How far from an open edge to the middle of its triangle one sees on which side of a seam it is.
@@ -43,11 +45,50 @@ def on_own_side(
     far = weights[row] > INWARDS
     shared = (rows[face[row], :, None] == rows[own][:, None, :]).any(axis=2)
     other = (far & ~shared).any(axis=1) & ~far.all(axis=1)
+    before, after = patches(old, rows, points, cells)
+    least, most = np.full(len(points), len(rows)), np.full(len(points), -1)
+    for corner in cells.T:
+        np.minimum.at(least, corner, after)
+        np.maximum.at(most, corner, after)
+    wanted = np.full(len(vertices), -1)
+    wanted[row] = np.where(least == most, most, -1)[vertices[row]]
     row, own = row[other], own[other]
     there = np.maximum(barycentric(old, rows[own], points[vertices[row]]), 0.0)
     face, weights = face.copy(), weights.copy()
     face[row], weights[row] = own, there / there.sum(axis=1)[:, None]
+    wrong = (wanted >= 0) & (before[face] != wanted)
+    for patch in np.unique(wanted[wrong]).tolist():
+        part, here = np.flatnonzero(before == patch), np.flatnonzero(wrong & (wanted == patch))
+        foot, weights[here] = feet_on(old, rows[part], points[vertices[here]])
+        face[here] = part[foot]
     return face, weights
+
+
+def patches(
+    old: FloatArray, rows: IntArray, points: FloatArray, cells: NDArray[np.integer]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Patch (m,) of old triangles, which hang together over edges, and (m',) of new ones.
+
+    Parameters
+    ----------
+    old : (n, 3), rows : (m, 3)         old surface
+    points : (n', 3), cells : (m', 3)   new surface, whose patches are numbered as those of the old
+                                        one under most of their triangles
+    """
+    before, after = _connected(rows, len(old)), _connected(cells, len(points))
+    under = before[feet_on(old, rows, points[cells].mean(axis=1))[0]]
+    pairs, votes = np.unique(np.stack([after, under], axis=1), axis=0, return_counts=True)
+    pairs = pairs[np.argsort(votes, kind="stable")]
+    became = np.zeros(len(cells), dtype=np.int64)
+    became[pairs[:, 0]] = pairs[:, 1]
+    return before, became[after]
+
+
+def _connected(cells: NDArray[np.integer], n: int) -> NDArray[np.int64]:
+    """Number (m,) of the patch of every triangle."""
+    across = surface_edges(cells.astype(np.int32), n).neighbors
+    triangle, corner = np.nonzero(across >= 0)
+    return components(triangle, across[triangle, corner], len(cells)).astype(np.int64)
 
 
 def _beside_open_edges(
