@@ -6,7 +6,6 @@ Small inputs share a process. Where one of them ends it, those that are left hav
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import json
 import multiprocessing
 import os
@@ -35,6 +34,7 @@ from odt_plugins.distributed.job import (
     compiling,
     too_little,
 )
+from odt_plugins.distributed.keys import job_key, placed
 from odt_plugins.distributed.local import end_with
 from odt_plugins.distributed.scratch import clear, make_scratch
 from odt_plugins.distributed.versions import expect_versions, versions_here
@@ -42,7 +42,6 @@ from odt_plugins.errors import InvalidOptionError, MeshFileError, exit_name, exp
 from odt_plugins.options import COMPILING, EDGE_LENGTH, make_options
 from odt_plugins.processes import ENDED, GROUP, end_group, expect_limits, handling
 from odt_plugins.progress import silent
-from odt_plugins.report.machine import installed_version
 from odt_plugins.tetwild import expect_pytetwild
 
 HIDDEN = ".batch"
@@ -169,10 +168,13 @@ def make_jobs(
                                  or a result would take the place of an input
     MeshFileError                the suffix is none of files that hold such meshes
     """
-    make_options(**options)
+    filled = bool(settings.get("tetrahedralize"))
+    make_options(**{name: value for name, value in options.items()
+                    if filled or name != "density" or not isinstance(value, str)})
     if suffix:
         expect(suffix[0] == ".", "suffix", suffix, "one with its dot, as .vtu")
         check_output(Path(tempfile.gettempdir()) / f"x{suffix}")
+    options = placed(options)
     sizes = settings.get("sizes", {})
     if settings.get("tetrahedralize"):
         from odt_plugins.generate.fill import check_fill
@@ -499,21 +501,6 @@ def _recorded(job: Job, key: str) -> Row | None:
         if same and old["key"] == key:
             return old
     return None
-
-
-def job_key(job: Job) -> str:
-    """Name what decides a result: the bytes of the input, the options, and the versions."""
-    digest = hashlib.sha256()
-    with open(job.source, "rb") as file:
-        while chunk := file.read(1 << 20):
-            digest.update(chunk)
-    options = {name: value for name, value in job.options.items() if name != "threads"}
-    versions = versions_here()
-    if job.tetrahedralize:
-        versions["pytetwild"] = installed_version("pytetwild")
-    rest = [options, job.name, job.tetrahedralize, job.edge_length, job.levels, job.sizes, versions]
-    digest.update(json.dumps(rest, sort_keys=True).encode())
-    return digest.hexdigest()
 
 
 def _row(job: Job, facts: Row) -> Row:

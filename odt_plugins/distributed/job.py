@@ -115,6 +115,7 @@ def work(job: dict[str, Any]) -> dict[str, Any]:
     """
     from odt_plugins.adapters.files import read_file, write_file
     from odt_plugins.api import optimize_with_report
+    from odt_plugins.distributed.named import resolve_named
     from odt_plugins.remeshing import remesh_with_report
 
     source, target = Path(job["source"]), Path(job["folder"]) / RESULT / job["name"]
@@ -131,6 +132,7 @@ def work(job: dict[str, Any]) -> dict[str, Any]:
         row["tetwild_seconds"] = seconds
     else:
         mesh = read_file(source)
+        options = resolve_named(source, options)
         clock = time.perf_counter()
         improve = remesh_with_report if job["sizes"] else optimize_with_report
         result, report = improve(mesh, **job["sizes"], **options)

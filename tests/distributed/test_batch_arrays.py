@@ -1,0 +1,107 @@
+"""Options of a batch that name an array of every input, or a file."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import Any
+
+import meshio
+import numpy as np
+import pytest
+
+from odt_plugins.adapters.files import write_file
+from odt_plugins.cli.main import main
+from odt_plugins.compare.start import ball
+from odt_plugins.distributed.batch import job_key, make_jobs
+
+pytest.importorskip("pyarrow")
+pytest.importorskip("jinja2")
+
+
+def written(path: Path, n: int = 80) -> meshio.Mesh:
+    """A ball whose vertices of even number are held, with half of its cells picked."""
+    start = ball(n)
+    mesh = meshio.Mesh(
+        start.points, [("tetra", start.cells)],
+        {"held": (np.arange(len(start.points)) % 2 == 0) * 1, "rho": 1.0 + start.points[:, 0] ** 2},
+        {"pick": [(np.arange(len(start.cells)) % 2) * 1]})
+    write_file(path, mesh)
+    return mesh
+
+
+def batch(out: Path, *words: str) -> tuple[int, list[dict[str, str]]]:
+    code = main(["batch", "*.vtu", "--out", str(out), "--quiet", *words])
+    with (out / "summary.csv").open() as file:
+        return code, list(csv.DictReader(file))
+
+
+@pytest.mark.parametrize(("flags", "apart"), [
+    (("--fixed", "held"), ("fixed", "held")),
+    (("--fixed", "some.txt"), ("fixed", "some.txt")),
+    (("--selection", "pick"), ("selection", "pick")),
+    (("--density", "rho"), ("density", "rho")),
+    (("--scale", "1.5", "--fixed", "held"), None),
+])
+def test_a_batch_takes_arrays_and_files_by_their_names(flags, apart, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    meshes = {name: written(tmp_path / name, n) for name, n in (("a.vtu", 80), ("b.vtu", 100))}
+    (tmp_path / "some.txt").write_text("3 5 7 11")
+    code, rows = batch(tmp_path / "out", *flags)
+    assert (code, [row["status"] for row in rows]) == (0, ["ok", "ok"]), rows
+    for name, mesh in meshes.items():
+        found = meshio.read(tmp_path / "out" / name)
+        if apart is not None:
+            assert main(["optimize", name, "alone.vtu", "--quiet", *flags]) == 0
+            alone = meshio.read("alone.vtu")
+            assert np.array_equal(found.points, alone.points)
+            assert np.array_equal(found.cells[0].data, alone.cells[0].data)
+        if "held" in flags:
+            held = mesh.points[mesh.point_data["held"] == 1]
+            assert {tuple(x) for x in held} <= {tuple(x) for x in found.points}
+
+
+@pytest.mark.parametrize(("flags", "said"), [
+    (("--fixed", "nosuch"), "fixed: got 'nosuch'; expected the name of a point array of INPUT or a "
+                            "file of indices, it has held (point), rho (point)"),
+    (("--density", "nosuch"), "density: got 'nosuch'; expected the name of a point or cell array"),
+])
+def test_an_array_that_an_input_does_not_have_is_told_in_its_row(
+        flags, said, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    written(tmp_path / "a.vtu")
+    code, rows = batch(tmp_path / "out", *flags)
+    assert (code, rows[0]["status"]) == (1, "failed")
+    assert said in rows[0]["message"]
+
+
+def key(path: str, **options: Any) -> str:
+    """What names the one job of a batch."""
+    (job,) = make_jobs([path], Path("out"), options)
+    return job_key(job)
+
+
+def test_what_is_done_is_done_anew_when_a_file_that_options_name_changes(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    written(tmp_path / "a.vtu")
+    written(tmp_path / "other.vtu", 90)
+    (tmp_path / "some.txt").write_text("3 5")
+    before = [key("a.vtu", reference="other.vtu"), key("a.vtu", fixed="some.txt")]
+    assert before == [key("a.vtu", reference="other.vtu"), key("a.vtu", fixed="some.txt")]
+    written(tmp_path / "other.vtu", 100)
+    (tmp_path / "some.txt").write_text("3 7")
+    after = [key("a.vtu", reference="other.vtu"), key("a.vtu", fixed="some.txt")]
+    assert len({*before, *after}) == 4
+
+
+@pytest.mark.parametrize(("name", "beside"), [("a.xdmf", "a.h5"), ("a.mesh", "a.sol")])
+def test_what_is_done_is_done_anew_when_a_file_beside_an_input_changes(
+        name, beside, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    start = ball(60)
+    write_file(tmp_path / name, meshio.Mesh(start.points, [("tetra", start.cells)]))
+    (tmp_path / beside).touch()
+    before = key(name)
+    with (tmp_path / beside).open("ab") as file:
+        file.write(b"more")
+    assert key(name) != before
