@@ -109,6 +109,7 @@ def transfer_of(
         total=given.total, follows=given.follows, higher_order=given.higher_order)
     plain = Options(fields=options.fields, threads=options.threads)
     no_adapter: Any = None
-    slim = work._replace(adapter=no_adapter, host=host)
+    bare = replace(work.mesh, smooth=None)
+    slim = work._replace(adapter=no_adapter, host=host, mesh=bare)
     slimmer = replace(outcome, measured=None)
     return Transfer(slim, slimmer, replace(written, measured=None), plain, origin)

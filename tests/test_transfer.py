@@ -186,3 +186,16 @@ def test_elements_of_a_model_that_was_resized_have_an_origin_each():
         after = entities()
         assert len(after) != len(before)
         np.testing.assert_array_equal(before[report.cell_origin], after)
+
+
+def test_reports_of_a_model_on_its_geometry_can_be_pickled():
+    with session() as gmsh:
+        gmsh.model.occ.addSphere(0, 0, 0, 1)
+        gmsh.model.occ.synchronize()
+        gmsh.option.setNumber("Mesh.MeshSizeMax", 0.5)
+        gmsh.model.mesh.generate(3)
+        report = odt_plugins.remesh_with_report(gmsh.model, scale=0.8)[1]
+    again = pickle.loads(pickle.dumps(report))
+    values = np.random.default_rng(1).random(report.before.n_points)
+    assert str(again) == str(report)
+    assert np.array_equal(again.transfer(values), report.transfer(values))
