@@ -13,6 +13,9 @@ CLOSE = 1e-6
 """Distance, as a part of the diagonal, up to which places are in a plane or the same."""
 SMALL = 2e-3
 """Least part of the surface that two opposite faces are."""
+ALIKE = 1e-2
+"""Difference of lengths, as a part of the longest, up to which edges count as alike: coordinates
+are rounded, as those of float32 far from the origin and of text are."""
 STEPS = 1000
 """Normals count as alike where so many times their coordinates round to the same numbers."""
 
@@ -59,7 +62,8 @@ def _congruent(x: FloatArray, rows: NDArray[np.int64], close: float) -> bool:
     """Whether all of some triangles have edges of the same three lengths."""
     sides = x[rows] - x[rows[:, [1, 2, 0]]]
     lengths = np.sort(np.sqrt((sides * sides).sum(axis=2)), axis=1)
-    return bool((np.ptp(lengths, axis=0) <= 2.0 * close).all())
+    most = max(2.0 * close, ALIKE * float(lengths.max()))
+    return bool((np.ptp(lengths, axis=0) <= most).all())
 
 
 def _directions(x: FloatArray, rows: NDArray[np.int64]) -> FloatArray:

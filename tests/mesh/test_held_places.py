@@ -219,6 +219,20 @@ def test_faces_of_several_labels_that_correspond_stay_where_others_get_other_siz
     assert not {p.tobytes() for p in points[inside]} <= {p.tobytes() for p in out}
 
 
+@pytest.mark.parametrize("rounded", [
+    lambda x: (x + 1000.0).astype(np.float32),
+    lambda x: np.round(x + 1000.0, 4),
+])
+def test_grids_whose_coordinates_are_rounded_correspond_by_chance_too(rounded):
+    points, cells = regular(3, 6)
+    labels = (points[cells][..., 0].mean(axis=1) > 0.5).astype(int)
+    points = rounded(points)
+    (out, rows, _), report = odt_plugins.remesh_with_report((points, cells, labels), scale=1.5)
+    assert "of periodic faces stay" not in str(report)
+    walls = uneven_facets(cells, len(points)).open
+    assert len(uneven_facets(rows, len(out)).open) < 0.6 * len(walls)
+
+
 def test_faces_that_hardly_match_slide():
     points, cells = box(4)
     faces = np.flatnonzero(np.isclose(points, 1).sum(axis=1) == 1)
