@@ -24,6 +24,9 @@ ASYMMETRY = 1e-6
 """Largest difference of two entries that should be equal, as a part of the largest entry: that of
 float32."""
 
+LONGEST = 1e20
+"""Longest length of a metric, and one over the shortest, as parts of the diagonal."""
+
 ROUNDING = 1e-3
 """Part by which rounding may take MOST_RATIO too far."""
 
@@ -50,7 +53,7 @@ def metric_at_vertices(
     Raises
     ------
     InvalidOptionError     not one symmetric positive definite tensor for every vertex, or one with
-                           lengths whose ratio is beyond MOST_RATIO
+                           lengths far from those of the mesh, or whose ratio is beyond MOST_RATIO
     """
     if isinstance(given, str) and given == INPUT:
         return implied_metric(mesh.points, mesh.cells)
@@ -63,7 +66,7 @@ def metric_at_vertices(
                         "one symmetric tensor for every vertex, try metric='input'")
     tensors = _tensors(real, len(places), d, frame)
     out = np.broadcast_to(np.eye(d), (len(places), d, d)).copy()
-    out[used] = _checked(tensors, used)[used]
+    out[used] = _checked(tensors, used, mesh.extent)[used]
     return out
 
 
@@ -103,7 +106,7 @@ def _tensors(values: FloatArray, n: int, d: int, frame: PlaneFrame | None) -> Fl
     raise InvalidOptionError(msg)
 
 
-def _checked(tensors: FloatArray, used: BoolArray) -> FloatArray:
+def _checked(tensors: FloatArray, used: BoolArray, extent: float) -> FloatArray:
     """Symmetric parts of tensors, all of which are metrics at vertices that are used."""
     tensors = tensors.copy()
     finite = np.asarray(np.isfinite(tensors).all(axis=(1, 2)))
@@ -118,6 +121,10 @@ def _checked(tensors: FloatArray, used: BoolArray) -> FloatArray:
     least, most = values.min(axis=1), values.max(axis=1)
     _refuse(used & ~(least > 0.0), "metric that is not positive definite",
             "positive eigenvalues h^-2 for lengths h, try odt_plugins.metric_from_field")
+    shortest, longest = extent / LONGEST, extent * LONGEST
+    out = (most > shortest**-2) | (least < longest**-2)
+    _refuse(used & out, f"metric with lengths beyond {shortest:.3g} to {longest:.3g}",
+            "eigenvalues h^-2 for lengths h in the unit of the points")
     far = most > (MOST_RATIO * (1.0 + ROUNDING)) ** 2 * least
     _refuse(used & far, f"metric with lengths whose ratio is beyond {MOST_RATIO:g}",
             "smaller ratios, try larger values for the smallest eigenvalues")

@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import surface_meshes as sm
+import tet_meshes
 from scipy.optimize import brentq
 from strategies import jittered
 
+import odt_plugins
 from odt_plugins.adapters.fields import named_metric
 from odt_plugins.adapters.host import HostMesh
 from odt_plugins.engine.cells import tensors as ts
@@ -86,6 +88,10 @@ def test_a_metric_of_space_is_seen_in_the_plane_of_its_triangles():
     (lambda m: 0.0 * m, r"got a metric that is not positive definite at vertex 0 \(16 of them\)"),
     (lambda m: m * 0 + np.diag([1.0, 1.1e12]),
      r"got a metric with lengths whose ratio is beyond 1e\+06 at vertex 0 \(16 of them\)"),
+    (lambda m: m * 1e300,
+     r"got a metric with lengths beyond 1.41e-20 to 1.41e\+20 at vertex 0 \(16 of them\)"),
+    (lambda m: m * np.where(np.arange(16) == 3, 1e-300, 1.0)[:, None, None],
+     r"got a metric with lengths beyond 1.41e-20 to 1.41e\+20 at vertex 3 \(1 of them\)"),
     (lambda m: m.astype(complex), "got a metric that is no array of real numbers: they are of typ"),
     (lambda m: "length", "got a metric that is no array of real numbers"),
     (lambda m: [[1.0], [1.0, 2.0]], "got a metric that is no array of real numbers"),
@@ -98,6 +104,15 @@ def test_what_is_no_metric_is_refused_in_one_sentence(spoil, message):
     assert "\n" not in str(raised.value)
     with pytest.raises(InvalidOptionError, match=message):
         metric_at_vertices(mesh, lambda _: spoil(metric))
+
+
+@pytest.mark.parametrize("unit", [1e-39, 1.0, 1e39])
+@pytest.mark.parametrize("part", [1e-19, 1e19])
+def test_cells_become_regular_in_a_metric_of_any_length_that_is_taken(unit, part):
+    points, cells = tet_meshes.ball(100, 2)
+    metric = np.tile(np.eye(3) * (unit * part) ** -2, (len(points), 1, 1))
+    report = odt_plugins.optimize_with_report((unit * points, cells), metric=metric)[1]
+    assert report.after.mean_quality > report.before.mean_quality + 0.1
 
 
 def test_ratios_up_to_a_million_are_taken_however_they_are_turned(d):
