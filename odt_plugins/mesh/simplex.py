@@ -233,14 +233,19 @@ def mesh_arrays(points: ArrayLike, cells: ArrayLike) -> tuple[FloatArray, IntArr
 
 
 def freeze(
-    mesh: SimplexMesh, frozen: BoolArray, vertices: NDArray[np.integer] | None = None
+    mesh: SimplexMesh, frozen: BoolArray, vertices: NDArray[np.integer] | None = None,
+    stays: NDArray[np.integer] | None = None,
 ) -> SimplexMesh:
-    """Add cells (m,) bool that must stay, with their vertices, and more vertices (k,) to fix."""
+    """Add cells (m,) bool that must stay, with their vertices, and more vertices (k,) to fix.
+
+    Edges (l, 2) of the boundary that must stay edges are added, too.
+    """
     fixed = mesh.fixed.copy()
     fixed[mesh.cells[frozen].ravel()] = True
     if vertices is not None:
         fixed[vertices] = True
-    return with_same_cells(mesh, fixed=fixed, frozen=mesh.frozen | frozen)
+    edges = mesh.stays if stays is None else np.concatenate([mesh.stays, stays.astype(np.int32)])
+    return with_same_cells(mesh, fixed=fixed, frozen=mesh.frozen | frozen, stays=edges)
 
 
 def with_same_cells(mesh: SimplexMesh, **changes: Any) -> SimplexMesh:

@@ -54,6 +54,20 @@ def twins(points: NDArray[np.floating], cells: NDArray[np.integer]) -> NDArray[n
     return np.asarray(used[count[first] > 1], dtype=np.int64)
 
 
+def doubled_edges(
+    points: NDArray[np.floating], cells: NDArray[np.integer], copies: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    """Edges (k, 2) of cells (m, d + 1) between such :func:`twins` that share both places."""
+    there = np.full(len(points), -1)
+    there[copies] = first_there(points[copies])
+    corners = list(combinations(range(cells.shape[1]), 2))
+    edges = cells[:, corners].reshape(-1, 2)
+    edges = np.unique(np.sort(edges[(there[edges] >= 0).all(axis=1)], axis=1), axis=0)
+    _, place, count = np.unique(
+        np.sort(there[edges], axis=1), axis=0, return_inverse=True, return_counts=True)
+    return np.asarray(edges[count[place.ravel()] > 1], dtype=np.int64)
+
+
 def first_there(points: NDArray[np.floating]) -> NDArray[np.int64]:
     """First point (n,) with the coordinates of every one."""
     rows = np.ascontiguousarray(points + 0.0)

@@ -20,7 +20,7 @@ from odt_plugins.mesh.arrays import FloatArray, IntArray, LongArray
 from odt_plugins.mesh.components import components
 from odt_plugins.mesh.faces import Faces, ends_of, joined, labels_at, renumbered
 from odt_plugins.mesh.simplex import SimplexMesh, freeze
-from odt_plugins.mesh.soup import first_there, twins
+from odt_plugins.mesh.soup import doubled_edges, first_there, twins
 from odt_plugins.mesh.surface import opposed, surface_edges
 from odt_plugins.options import Options
 
@@ -53,25 +53,24 @@ def sewn(mesh: SimplexMesh) -> Sewn | None:
     if not len(copies) or mesh.fixed[copies].all():
         return None
     count = f"{counted(len(copies), 'vertex', 'vertices')} (first: {copies[0]}) at the place of "
-    same, seam, several = _same_on_seams(mesh, copies)
+    same, seam = _same_on_seams(mesh, copies)
     label = int(mesh.faces[0].labels.max(initial=-1)) + 1
+    doubled: IntArray = doubled_edges(mesh.points, mesh.cells, copies).astype(np.int32)
     if not len(seam) or np.isin(copies, mesh.faces[0].rows).any():
         note = (f"{count}another one stay, so that patches do not come apart there; try merging "
                 f"vertices at the same place")
-        whole = freeze(mesh, mesh.frozen, copies)
-        stays = np.concatenate([mesh.stays, several])
-        return Sewn(replace(whole, stays=stays), np.arange(len(same)), label, note)
+        return Sewn(freeze(mesh, mesh.frozen, copies, doubled), np.arange(len(same)), label, note)
     lines = Faces(seam, np.full(len(seam), label, dtype=np.int32))
-    cells, lines_before, stays, several = (
-        same[rows].astype(np.int32) for rows in (mesh.cells, mesh.lines, mesh.stays, several))
-    several = several[labels_at(several, lines) < 0]
+    cells, lines_before, stays, doubled = (
+        same[rows].astype(np.int32) for rows in (mesh.cells, mesh.lines, mesh.stays, doubled))
+    doubled = doubled[labels_at(doubled, lines) < 0]
     fixed, anchored, coupled = mesh.fixed.copy(), mesh.anchored.copy(), mesh.coupled.copy()
     for marks in (fixed, anchored, coupled):
         np.logical_or.at(marks, same, marks)
     fixed[twins(mesh.points, cells)] = True
     whole = replace(
         mesh, cells=cells, fixed=fixed | ends_of(lines, len(same)), anchored=anchored,
-        coupled=coupled, stays=np.concatenate([stays, several]),
+        coupled=coupled, stays=np.concatenate([stays, doubled]),
         lines=np.concatenate([lines_before, seam]),
         faces=(joined(mesh.faces[0], lines), mesh.faces[1]))
     return Sewn(whole, same, label, f"{count}another one are on seams, both sides of which get the "
@@ -95,14 +94,11 @@ def as_sewn(
     return leaving(replace(_cut(mesh, seams, found), notes=(seams.note, *found.notes)))
 
 
-def _same_on_seams(
-    mesh: SimplexMesh, copies: LongArray
-) -> tuple[LongArray, IntArray, IntArray]:
-    """First vertex (n,) at the place of every vertex on a seam, seams, and edges at one place.
+def _same_on_seams(mesh: SimplexMesh, copies: LongArray) -> tuple[LongArray, IntArray]:
+    """First vertex (n,) at the place of every vertex on a seam, and the edges (k, 2) of seams.
 
-    Of edges (k, 2) that share their place with others those are no seams at which other than two
-    triangles would meet, or which disagree about the outside; none is where there would be such
-    edges nevertheless, or triangles twice.
+    Edges at which other than two triangles would meet, or which disagree about the outside, are no
+    seams; none is where there would be such edges nevertheless, or triangles twice.
     """
     n = len(mesh.points)
     same, there = np.arange(n), np.arange(n)
@@ -113,7 +109,6 @@ def _same_on_seams(
     count = np.bincount(pairs[:, 0], minlength=len(new.degree))
     seam = (count == 2) & (new.degree == 2)
     seam[opposed(new)] = False
-    several = old.vertices[pairs[count[pairs[:, 0]] > 1, 1]]
     ends = old.vertices[pairs[seam[pairs[:, 0]], 1]]
     turned = there[ends[:, 0]] > there[ends[:, 1]]
     ends[turned] = ends[turned, ::-1]
@@ -124,8 +119,8 @@ def _same_on_seams(
     if ((after.degree > 2).sum() > (old.degree > 2).sum()
             or len(opposed(after)) > len(opposed(old))
             or len(np.unique(np.sort(cells, axis=1), axis=0)) < len(cells)):
-        return same, ends[:0], several
-    return sewn_up, sewn_up[ends[::2]].astype(np.int32), several
+        return same, ends[:0]
+    return sewn_up, sewn_up[ends[::2]].astype(np.int32)
 
 
 def _cut(mesh: SimplexMesh, seams: Sewn, found: Outcome) -> Outcome:

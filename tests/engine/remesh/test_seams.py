@@ -6,7 +6,9 @@ from dataclasses import replace
 
 import meshio
 import numpy as np
+import planar_meshes
 import pytest
+import tet_meshes
 
 import odt_plugins
 from odt_plugins.engine.remesh.seams import sewn
@@ -77,6 +79,42 @@ def test_seams_whose_sides_disagree_about_the_outside_do_not_crack():
     level = np.abs(out[rows[count == 1], 2]).max(axis=1)
     assert (level < 1e-9).sum() == 2 * 24
     assert {*rims(out, now).tolist()} == {1, 2}
+
+
+def torn(points, cells, part):
+    """A mesh of which a part of the cells has vertices of its own."""
+    used, own = np.unique(cells[part], return_inverse=True)
+    cells = cells.copy()
+    cells[part] = len(points) + own.reshape(-1, cells.shape[1])
+    return np.concatenate([points, points[used]]), cells
+
+
+def doubled(points, cells):
+    """Facets of one cell whose place another one has, too, as sorted coordinates."""
+    k = cells.shape[1]
+    rows = np.sort(np.concatenate([np.delete(cells, i, axis=1) for i in range(k)]), axis=1)
+    rows, count = np.unique(rows, axis=0, return_counts=True)
+    place = np.unique(points, axis=0, return_inverse=True)[1].ravel()
+    rows = rows[count == 1]
+    _, which, count = np.unique(np.sort(place[rows], axis=1), axis=0, return_inverse=True,
+                                return_counts=True)
+    return {tuple(sorted(map(tuple, points[row]))) for row in rows[count[which.ravel()] == 2]}
+
+
+@pytest.mark.parametrize("scale", [0.6, 1.5])
+@pytest.mark.parametrize("dim", [2, 3])
+def test_interfaces_of_parts_that_share_no_vertices_stay_as_they_are(dim, scale):
+    if dim == 3:
+        points, cells = tet_meshes.grid(5, 1)
+    else:
+        points, cells = planar_meshes.grid(1)
+    middle = points[cells].mean(axis=1)
+    points, cells = torn(points, cells, middle[:, 0] > points[:, 0].mean())
+    before = doubled(points, cells)
+    out, now = odt_plugins.remesh((points, cells), scale=scale, envelope=0.01)
+    assert len(now) != len(cells)
+    assert len(before) > 5
+    assert doubled(out, now) == before
 
 
 def test_what_may_not_be_sewn_up_stays():
