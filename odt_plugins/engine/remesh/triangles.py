@@ -27,8 +27,8 @@ def resized_triangles(
     mesh: SimplexMesh, base: SimplexMesh, sizes: Sizes, options: Options, leaving: Leaving
 ) -> Outcome:
     """Resize triangles, with more vertices where sizes need them if the promise holds so; where
-    much of the input stays for its sake, also to sizes nearer to those of the input: the coarsest
-    result. If much stays even then good triangles may become fewer, as poor ones do not.
+    much of the input stays for its sake, also to sizes nearer to those of the input as long as these
+    break the promise otherwise: the coarsest result. If much stays even then good triangles may become fewer, as poor ones do not.
     """
     wanted: Sizes | None = sizes
     best, why = unchanged(mesh, "no other sizes kept the promise"), None
@@ -49,7 +49,7 @@ def resized_triangles(
             note = ("sizes are nearer to those of the input than asked for, since "
                     + (why or "").partition("since ")[2])
             best = outcome if why is None else replace(outcome, notes=(note, *outcome.notes))
-        elif outcome.origin is not None:
+        elif outcome.origin is not None or outcome.fallback == why:
             break
         why = why or outcome.fallback
         if outcome.fallback is None or _stays(mesh, outcome) <= MOST_HELD:
