@@ -372,8 +372,8 @@ def _of_soup(
 ) -> Prepared:
     """The curved surface of a soup, vertices at the same place as one; others as they were found.
 
-    Where vertices have texture coordinates those at the same place with others stay apart, unless
-    most cells would.
+    Where vertices have texture coordinates those at the same place with others stay apart; not so
+    where most cells would, if none is ``gone`` in the result.
 
     Warns
     -----
@@ -385,7 +385,7 @@ def _of_soup(
         of_vertices = host.texture is not None and host.texture.ndim == 2
         if of_vertices:
             apart = first_there(np.concatenate([host.points, host.texture], axis=1))
-            if same_places(host.points, apart[host.cells.astype(np.int64)]) is None:
+            if gone or same_places(host.points, apart[host.cells.astype(np.int64)]) is None:
                 same = apart
         try:
             merged = work(glued(host, same), keep_seams=keep_seams or of_vertices)
@@ -402,7 +402,7 @@ def _of_soup(
                 f"them")
             return merged._replace(
                 mesh=replace(merged.mesh, fixed=fixed), same=same,
-                notes=(note, *merged.notes),
+                notes=(note, *merged.notes) if places < used else merged.notes,
                 host=replace(host, blocks=merged.host.blocks))
     note = host.words(
         f"hardly any vertices may move, since the cells share hardly any{why}; {call}")

@@ -128,3 +128,21 @@ def test_patches_with_zigzag_rims_do_not_mix(kind, scale):
     square = found[..., 0] // 0.3
     assert len(found) != len(cells)
     assert (square == square[:, :1]).all()
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("kind", ["tensor", "trimesh", "pyvista"])
+@pytest.mark.parametrize("scale", [0.7, 1.5])
+def test_soups_keep_patches_of_one_triangle(kind, scale):
+    """Every triangle has a place of its own in the texture, as trivial parametrisations lay it."""
+    ball = trimesh.creation.icosphere(2)
+    n = len(ball.faces)
+    at = np.stack([np.arange(n) % 20, np.arange(n) // 20], axis=1)[:, None]
+    uv = (at + np.array([[0.1, 0.1], [0.9, 0.1], [0.1, 0.8]])) / 20
+    rows = np.arange(3 * n).reshape(-1, 3)
+    mesh, read = made(kind, ball.triangles.reshape(-1, 3).copy(), rows, uv.reshape(-1, 2))
+    out, report = odt_plugins.remesh_with_report(mesh, scale=scale, envelope=0.01)
+    found, _ = read(out)
+    assert (found * 20 // 1 == found[:, :1] * 20 // 1).all()
+    assert len(found) > n if scale < 1 else len(found) == n
+    assert not any(note.startswith("0 of") for note in report.notes)

@@ -73,8 +73,8 @@ def sewn(mesh: SimplexMesh) -> Sewn | None:
         coupled=coupled, stays=np.concatenate([stays, doubled]),
         lines=np.concatenate([lines_before, seam]),
         faces=(joined(mesh.faces[0], lines), mesh.faces[1]))
-    return Sewn(whole, same, label, f"{count}another one are on seams, both sides of which get the "
-                                    f"same other sizes")
+    return Sewn(whole, same, label, f"{count}another one are on seams, which stay and get the same "
+                                    f"other sizes on both sides; try merging them if no data jump")
 
 
 def as_sewn(

@@ -27,8 +27,9 @@ def resized_triangles(
     mesh: SimplexMesh, base: SimplexMesh, sizes: Sizes, options: Options, leaving: Leaving
 ) -> Outcome:
     """Resize triangles, with more vertices where sizes need them if the promise holds so; where
-    much of the input stays for its sake, also to sizes nearer to those of the input as long as these
-    break the promise otherwise: the coarsest result. If much stays even then good triangles may become fewer, as poor ones do not.
+    much of the input stays for its sake, also to sizes nearer to those of the input, as long as
+    these break something else: the coarsest result. If much stays even then good triangles may
+    become fewer, as poor ones do not.
     """
     wanted: Sizes | None = sizes
     best, why = unchanged(mesh, "no other sizes kept the promise"), None
