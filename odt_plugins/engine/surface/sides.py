@@ -75,7 +75,10 @@ def patches(
     points : (n', 3), cells : (m', 3)   new surface, whose patches are numbered as those of the old
                                         one under most of their triangles
     """
-    before, after = _connected(rows, len(old)), _connected(cells, len(points))
+    before = _connected(rows, len(old))
+    if not before.any():
+        return before, np.zeros(len(cells), dtype=np.int64)
+    after = _connected(cells, len(points))
     under = before[feet_on(old, rows, points[cells].mean(axis=1))[0]]
     pairs, votes = np.unique(np.stack([after, under], axis=1), axis=0, return_counts=True)
     pairs = pairs[np.argsort(votes, kind="stable")]
