@@ -197,6 +197,8 @@ def new_vertices(
         cell, weights = on_own_side(before.points, before.cells, (cell, weights),
                                     outcome.points, outcome.cells, np.flatnonzero(placed))
     number = new_numbers(origin, n)[:n].astype(np.int64)
+    if work.same is not None:
+        number = np.where(number < 0, number[work.same], number)
 
     @cache
     def both() -> tuple[NDArray[np.int8], NDArray[np.int8]]:

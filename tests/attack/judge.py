@@ -76,7 +76,7 @@ def broken(before: Mesh, after: Mesh, options: Options, *, curved: bool = False)
     faults = _malformed(before, after, options)
     if faults:
         return faults
-    if curved and _is_soup(before) and not _soup(before, after, options):
+    if curved and is_soup(before) and not _soup(before, after, options):
         return []
     slides = options.boundary == "slide"
     plane = slides and not curved and before.cells.shape[1] == 3
@@ -137,7 +137,11 @@ def broken_by_sizes(before: Mesh, after: Mesh, options: Options, *, curved: bool
         if same_way:
             faults.append(f"facet {same_way[0]} has two cells on one side, {len(same_way)} in all")
         faults += _volume(before, after, slides=True)
-    for what, (was, now) in {"mesh": (before.cells, after.cells), "boundary": rims}.items():
+    kinds = {"mesh": [before.cells, after.cells], "boundary": rims}
+    sewn = [places(m.points)[m.cells] for m in (before, after)]
+    if all(len({*row}) == len(row) for rows in sewn for row in rows.tolist()):
+        kinds = ({} if is_soup(before) else kinds) | {"mesh that is sewn up": sewn}
+    for what, (was, now) in kinds.items():
         if euler(was) != euler(now):
             faults.append(f"the Euler number of the {what} is {euler(now)}, it was {euler(was)}")
     return faults + _beyond_of(before, skins[0], after, skins[1], free)
@@ -157,7 +161,7 @@ def places(points: np.ndarray) -> np.ndarray:
     return np.array([known.setdefault(tuple(x), i) for i, x in enumerate(points.tolist())])
 
 
-def _is_soup(mesh: Mesh) -> bool:
+def is_soup(mesh: Mesh) -> bool:
     """Most edges are of one triangle; of most of them that is no longer so at equal places."""
     torn, whole = (surface_meshes.edge_set(cells) for cells in (
         mesh.cells, places(mesh.points)[mesh.cells]))

@@ -153,6 +153,18 @@ def _split_vertices(points: np.ndarray, cells: np.ndarray, rng: Rng) -> Arrays:
     return np.concatenate([points, points[old]]), cells
 
 
+def torn(points: np.ndarray, cells: np.ndarray, rng: Rng) -> Arrays:
+    """Parts that meet at a plane, or anyhow, get vertices of their own."""
+    center = points[cells].mean(axis=1) @ rng.normal(size=points.shape[1])
+    part = center > np.quantile(center, rng.random())
+    if rng.random() < 0.4:
+        part = part + 2 * (rng.random(len(cells)) < rng.choice([0.05, 0.4]))
+    pairs, number = np.unique(
+        np.stack([cells, np.broadcast_to(part[:, None], cells.shape)], axis=-1).reshape(-1, 2),
+        axis=0, return_inverse=True)
+    return points[pairs[:, 0]], number.reshape(cells.shape)
+
+
 def _loose_cell(points: np.ndarray, cells: np.ndarray, rng: Rng) -> Arrays:
     k, d = cells.shape[1], points.shape[1]
     corners = np.concatenate([np.zeros((1, d)), np.eye(d)[: k - 1]]) + 0.2 * rng.random((k, d))

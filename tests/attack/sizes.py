@@ -10,9 +10,9 @@ import meshio
 import numpy as np
 
 import odt_plugins
-from attack.judge import Broken, Mesh, beyond, broken_by_sizes, euler
+from attack.judge import Broken, Mesh, beyond, broken_by_sizes, euler, is_soup
 from attack.meshes import curved, same
-from attack.shapes import piece, placed, tilted
+from attack.shapes import piece, placed, tilted, torn
 from odt_plugins.options import FIGURES, Options
 
 SECONDS = 240.0
@@ -37,6 +37,8 @@ def attack(rng: Rng, folder: Path) -> None:
     kind = str(rng.choice(["plane", "space", "surface"]))
     points, cells = piece(kind, rng)
     points = placed(points, rng)
+    if rng.random() < 0.25:
+        points, cells = torn(points, cells, rng)
     if kind == "plane" and rng.random() < 0.2:
         points = tilted(points, rng)
     before = Mesh(points, cells, halves(points, cells, rng) if rng.random() < 0.4 else None)
@@ -56,7 +58,7 @@ def attack(rng: Rng, folder: Path) -> None:
     after = view(found)
     known = Options(**options)
     faults = broken_by_sizes(before, after, known, curved=curved(before))
-    if isinstance(mesh, meshio.Mesh):
+    if isinstance(mesh, meshio.Mesh) and not is_soup(before):
         faults += broken_faces(mesh, found, known)
     if rng.random() < 0.3:
         k = int(rng.integers(2, 4))

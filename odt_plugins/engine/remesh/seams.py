@@ -134,15 +134,15 @@ def _cut(mesh: SimplexMesh, seams: Sewn, found: Outcome) -> Outcome:
     alone = np.flatnonzero(there)
     vertex = np.concatenate([cells.ravel()[np.unique(fan, return_index=True)[1]], alone])
     origin = _origins(mesh, seams, found, fan, vertex)
-    order = np.argsort(np.where(origin < 0, len(mesh.points), origin), kind="stable")
-    number = np.empty(len(order), dtype=np.int32)
-    number[order] = np.arange(len(order), dtype=np.int32)
+    key = np.where(origin < 0, len(mesh.points) + np.arange(len(origin)), origin)
+    _, first, number = np.unique(key, return_index=True, return_inverse=True)
+    rows: IntArray = number[fan].reshape(-1, 3).astype(np.int32)
     of_vertex = np.full(n, -1, dtype=np.int32)
     of_vertex[vertex] = number
     own = Faces(lines.rows[lines.labels != seams.label], lines.labels[lines.labels != seams.label])
-    vertex = vertex[order]
+    vertex = vertex[first]
     return replace(
-        found, points=found.points[vertex], cells=number[fan].reshape(-1, 3), origin=origin[order],
+        found, points=found.points[vertex], cells=rows, origin=origin[first],
         faces=(renumbered(own, of_vertex), found.faces[1]), written=None, source=None,
         metric=found.metric[vertex] if len(found.metric) else found.metric)
 
@@ -179,7 +179,8 @@ def _origins(
 ) -> LongArray:
     """Old vertex (k,) of every new one, that at its place in the patch that its triangles are of.
 
-    Where a patch has several at one place it is that whose rim runs as its does.
+    Where a patch has several at one place it is that whose rim runs as its does; fans for which
+    none is left share one.
 
     Parameters
     ----------
@@ -199,14 +200,15 @@ def _origins(
     origin[row] = -1
     cells, points = fan.reshape(-1, 3).astype(np.int32), found.points[vertex]
     old_patch, patch = patches(mesh.points, mesh.cells, points, cells)
-    of_new, of_old = np.zeros(len(points), dtype=np.int64), np.zeros(len(mesh.points), np.int64)
-    of_new[cells], of_old[mesh.cells] = patch[:, None], old_patch[:, None]
+    of_new, n = np.zeros(len(points), dtype=np.int64), len(mesh.points)
+    of_new[cells] = patch[:, None]
+    fits = np.isin(of_new[item] * n + copy, (old_patch[:, None] * n + mesh.cells).ravel())
     alike = (_rims(points, cells)[item] * _rims(mesh.points, mesh.cells)[copy]).sum(axis=1)
-    rank = np.lexsort((-alike, of_new[item] != of_old[copy]))
-    taken = np.zeros(len(mesh.points), dtype=np.bool_)
-    for k in rank.tolist():
-        if origin[item[k]] < 0 and not taken[copy[k]]:
-            origin[item[k]], taken[copy[k]] = copy[k], True
+    rank, taken = np.argsort(-alike, kind="stable"), np.zeros(n, dtype=np.bool_)
+    for fit, shared in ((True, False), (True, True), (False, True)):
+        for k in rank.tolist():
+            if origin[item[k]] < 0 and fits[k] >= fit and (shared or not taken[copy[k]]):
+                origin[item[k]], taken[copy[k]] = copy[k], True
     return origin
 
 

@@ -8,7 +8,10 @@ import meshio
 import numpy as np
 import planar_meshes
 import pytest
+import surface_meshes
 import tet_meshes
+import trimesh
+from attack import judge
 
 import odt_plugins
 from odt_plugins.engine.remesh.seams import sewn
@@ -115,6 +118,32 @@ def test_interfaces_of_parts_that_share_no_vertices_stay_as_they_are(dim, scale)
     assert len(now) != len(cells)
     assert len(before) > 5
     assert doubled(out, now) == before
+
+
+@pytest.mark.parametrize("scale", [0.6, 2.0])
+def test_patches_that_meet_at_vertices_still_do(scale):
+    """Fans of one patch have one vertex where they had one, and two where they had two."""
+    points, cells = surface_meshes.torus(24, 16, 0.0, 3)
+    part = np.random.default_rng(4).random(len(cells)) < 0.3
+    torn_points, rows = torn(points, cells, part)
+    out, now = odt_plugins.remesh((torn_points, rows), scale=scale, envelope=0.02)
+    assert len(now) != len(rows)
+    assert judge.euler(now) == judge.euler(rows) != judge.euler(cells)
+    assert judge.euler(judge.places(out)[now]) == judge.euler(cells) == 0
+
+
+def test_lines_and_named_vertices_of_soups_are_where_they_were():
+    box = trimesh.creation.box().subdivide().subdivide()
+    rows = np.arange(box.faces.size).reshape(-1, 3)
+    points = box.triangles.reshape(-1, 3)
+    ends = np.sort(rows[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    line = ends[(np.abs(points[ends][:, :, :2] - 0.5).max(axis=(1, 2)) < 1e-9)]
+    mesh = meshio.Mesh(points, [("triangle", rows), ("line", line)],
+                       point_sets={"corner": np.array([rows[-1, 2]])})
+    out = odt_plugins.remesh(mesh, scale=1.5, envelope=0.01)
+    assert len(out.points) < len(points)
+    np.testing.assert_array_equal(out.points[out.cells[1].data], points[line])
+    np.testing.assert_array_equal(out.points[out.point_sets["corner"]], points[rows[-1, 2:]])
 
 
 def test_what_may_not_be_sewn_up_stays():
