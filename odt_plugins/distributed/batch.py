@@ -422,7 +422,9 @@ def _ended_row(job: Job, key: str, folder: Path, facts_of: Callable[[], Row]) ->
     try:
         facts = facts_of()
         outside = facts.pop("outside", False)
-        row = _row(job, {"key": key, "limits": [job.timeout, job.memory_limit]} | facts)
+        parts = sorted((folder / RESULT).iterdir(), key=lambda part: part.name == target.name)
+        row = _row(job, {"key": key, "limits": [job.timeout, job.memory_limit],
+                         "files": [part.name for part in parts]} | facts)
         if row["status"] not in WRITTEN and target.exists():
             row["message"] += f"; {job.name} is there from an earlier run"
         (folder / ROW).write_text(json.dumps(row), encoding="utf-8")
@@ -431,7 +433,7 @@ def _ended_row(job: Job, key: str, folder: Path, facts_of: Callable[[], Row]) ->
         if row["status"] in WRITTEN:
             target.parent.mkdir(parents=True, exist_ok=True)
             # Formats such as xdmf write companions; the file that refers to them comes last.
-            for part in sorted((folder / RESULT).iterdir(), key=lambda p: p.name == target.name):
+            for part in parts:
                 os.replace(part, target.parent / part.name)
         if not outside:
             os.replace(folder / ROW, place)
@@ -495,7 +497,9 @@ def _recorded(job: Job, key: str) -> Row | None:
     with contextlib.suppress(OSError, ValueError):
         old: Row = json.loads(_row_file(Path(job.out), job.name).read_text(encoding="utf-8"))
         if old["status"] in WRITTEN:
-            same = (Path(job.out) / job.name).is_file()
+            target = Path(job.out) / job.name
+            same = all(target.with_name(name).is_file()
+                       for name in old.get("files", [target.name]))
         else:
             same = not job.retry and old["limits"] == [job.timeout, job.memory_limit]
         if same and old["key"] == key:

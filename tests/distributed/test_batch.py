@@ -374,8 +374,10 @@ FIGURES = {f"{when}_{name}": 1 for when in ("before", "after")
 
 
 def copied(job: Job, folder: Path) -> dict[str, Any]:
-    """A process that does nothing but copy."""
-    shutil.copyfile(job.source, folder / RESULT / Path(job.name).name)
+    """A process that does nothing but copy, beside an empty report."""
+    target = folder / RESULT / Path(job.name).name
+    shutil.copyfile(job.source, target)
+    target.with_name(target.name + ".json").write_text("{}")
     return {"status": "ok", "seconds": 0.0}
 
 
@@ -400,6 +402,8 @@ def test_what_is_done_is_left_as_long_as_input_options_and_result_are_the_same(
     (place / "out" / "120.vtu").unlink()
     assert run(threads=2) == [True, False]
     assert run(smoothing={"rounds": 3}) == [False, False]
+    (place / "out" / "100.vtu.json").unlink()
+    assert run(smoothing={"rounds": 3}) == [False, True]
     settings["resume"] = False
     assert run(smoothing={"rounds": 3}) == [False, False]
 
