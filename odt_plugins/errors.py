@@ -152,6 +152,15 @@ def change(first: float, last: float) -> str:
     return f"from {first:.{digits}g} to {last:.{digits}g}"
 
 
+def place_within(extent: float, place: Iterable[float], digits: int = 4) -> str:
+    """Say where a place in a mesh is, "1.2, 0, 3.4": with more digits where it is far from the
+    origin, as many as say as much of the mesh, which has this extent, as near the origin.
+    """
+    return ", ".join(
+        f"{x:.{next((k for k in range(digits, 17) if abs(x) <= extent * 10 ** (k - digits)), 17)}g}"
+        for x in place)
+
+
 def endless_walk(vertex: int) -> EndlessWalkError:
     """Make the error of a walk around a vertex that did not end."""
     error = EndlessWalkError(

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.carry import in_input_order
-from odt_plugins.errors import FacetPair, InvalidMeshError, TangledMeshError, counted
+from odt_plugins.errors import FacetPair, InvalidMeshError, TangledMeshError, counted, place_within
 from odt_plugins.figures import QualitySummary, summarize
 from odt_plugins.mesh.arrays import FloatArray, IntArray, LongArray
 from odt_plugins.mesh.numbering import most_vertices
@@ -160,7 +160,7 @@ def _overlapping(mesh: SimplexMesh, left: IntArray) -> tuple[str, tuple[FacetPai
     found = overlaps(mesh, near)
     if not len(found.facets):
         return "", ()
-    place = ", ".join(f"{x:.6g}" for x in found.places[0])
+    place = place_within(mesh.extent, found.places[0], 6)
     why = (f", since {len(found.facets)} facets of the boundary or of interfaces (first: "
            f"that of vertices {found.facets[0].tolist()}, with that of {found.others[0].tolist()}, "
            f"at ({place})) cross or overlap others")

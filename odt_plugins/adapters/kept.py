@@ -17,7 +17,7 @@ from odt_plugins.adapters.host import (
     HostMesh,
     KeptCells,
 )
-from odt_plugins.errors import InvalidMeshError, counted
+from odt_plugins.errors import InvalidMeshError, counted, place_within
 from odt_plugins.mesh.arrays import BoolArray, IntArray
 from odt_plugins.mesh.components import components
 from odt_plugins.mesh.faces import Faces, borders_of, ends_of, no_faces
@@ -462,8 +462,8 @@ def _places(mesh: SimplexMesh, edges: IntArray) -> str:
     """Vertices of the first few edges, one of each place where several hang together."""
     label = components(edges[:, 0], edges[:, 1], len(mesh.points))[edges[:, 0]]
     first = np.sort(np.unique(label, return_index=True)[1])
-    told = [f"{tuple(edges[i].tolist())} around ("
-            + ", ".join(f"{x:.4g}" for x in mesh.points[edges[i]].mean(axis=0)) + ")"
+    told = [f"{tuple(edges[i].tolist())} around "
+            f"({place_within(mesh.extent, mesh.points[edges[i]].mean(axis=0))})"
             for i in first[:NAMED]]
     return (f"{counted(len(first), 'place')}: " + ", ".join(told)
             + (", ..." if len(first) > NAMED else ""))

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from odt_plugins.engine.finish.phases import bulk
-from odt_plugins.errors import InvalidOptionError, counted
+from odt_plugins.errors import InvalidOptionError, counted, place_within
 from odt_plugins.generate.cleanup import clean_up
 from odt_plugins.generate.clouds import SEED
 from odt_plugins.generate.distance import Distance
@@ -248,9 +248,9 @@ def _plan(domain: Domain, h0: float, fixed: FloatArray, most_points: int) -> Pla
     samples = lattice(domain, spacing)
     depth = domain.distance(samples)
     if not (depth < 0.0).any():
-        x, y = samples[int(depth.argmin())]
+        place = place_within(domain.diagonal, samples[int(depth.argmin())], 6)
         msg = (f"got fd without a negative value at {len(samples)} points of bbox (the least is "
-               f"{depth.min():.3g} at ({x:.6g}, {y:.6g})); expected fd < 0 inside the domain, try "
+               f"{depth.min():.3g} at ({place})); expected fd < 0 inside the domain, try "
                "a bbox around it")
         raise InvalidOptionError(msg)
     size = domain.size(np.concatenate([samples[depth < 0.0], fixed]))

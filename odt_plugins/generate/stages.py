@@ -21,6 +21,7 @@ from odt_plugins.engine.topology.order import curve_order
 from odt_plugins.engine.topology.star import vertex_stars
 from odt_plugins.engine.topology.stencil import make_topology
 from odt_plugins.engine.topology.triangles import Triangles
+from odt_plugins.errors import place_within
 from odt_plugins.figures import radius_ratio
 from odt_plugins.generate.domain import Domain
 from odt_plugins.generate.refine2d import refine_triangles
@@ -195,8 +196,8 @@ def _check_middles(middle: FloatArray, ends: FloatArray, on_rim: BoolArray, doma
     for bad, what in ((on_rim & (np.abs(off) > BULGE), "is far from the boundary"),
                       (~on_rim & (off > ASTRAY), "leaves the domain")):
         if bad.any():
-            x, y = middle[int(np.argmax(bad))]
-            msg = f"the edge at ({x:.6g}, {y:.6g}) {what}"
+            place = place_within(domain.diagonal, middle[int(np.argmax(bad))], 6)
+            msg = f"the edge at ({place}) {what}"
             raise TooCoarseError(msg)
 
 
@@ -258,8 +259,8 @@ def refine(mesh: Mesh, domain: Domain) -> Mesh:
     points[new[on_rim]] = domain.project(points[new[on_rim]])
     folded = np.flatnonzero(signed_volumes(points, cells) <= 0.0)
     if folded.size:
-        x, y = points[cells[folded[0]]].mean(axis=0)
-        msg = f"the boundary at ({x:.6g}, {y:.6g}) bends too much for its edges"
+        place = place_within(domain.diagonal, points[cells[folded[0]]].mean(axis=0), 6)
+        msg = f"the boundary at ({place}) bends too much for its edges"
         raise TooCoarseError(msg)
     vertices, order = curve_order(points, cells)
     vertices = np.concatenate([np.arange(mesh.fixed), vertices[vertices >= mesh.fixed]])

@@ -62,6 +62,11 @@ def test_a_few_places_where_neighbours_disagree_are_worked_around_and_named():
     assert said is not None
     pairs = {tuple(sorted((int(a), int(b)))) for a, b in combinations(cells[100], 2)}
     assert any(said[1].startswith(f"{pair} around (") for pair in pairs)
+    _, far = odt_plugins.optimize_with_report((points + 1e5, cells))
+    near, there = (
+        np.array([float(x) for x in re.findall(r"around \((.*?)\)", str(one))[0].split(", ")])
+        for one in (report, far))
+    assert np.abs(there - 1e5 - near).max() < 0.01
     flipped = cells.copy()
     apart = np.arange(0, 1200, 150)
     flipped[apart] = flipped[apart, ::-1]

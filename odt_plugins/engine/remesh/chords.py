@@ -22,7 +22,7 @@ from odt_plugins.engine.surface.curvature import (
     vertex_curvature,
 )
 from odt_plugins.engine.topology.star import star_sum, vertex_stars
-from odt_plugins.errors import counted
+from odt_plugins.errors import counted, place_within
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.mesh.surface import disagreeing_edges, surface_edges
@@ -139,7 +139,7 @@ def within_chords(mesh: SimplexMesh, sizes: Sizes, most: FloatArray) -> Sizes:
     if not len(finer):
         return sizes
     ratio = sizes.values[finer] / most[finer]
-    place = ", ".join(f"{x:.4g}" for x in mesh.points[finer[np.argmax(ratio)]])
+    place = place_within(mesh.extent, mesh.points[finer[np.argmax(ratio)]])
     note = (f"sizes are smaller than asked for at {counted(len(finer), 'vertex', 'vertices')} of "
             f"the input, {np.median(ratio):.2g} times in the middle and {ratio.max():.2g} times at "
             f"most, near ({place}): the envelope allows no longer edges")

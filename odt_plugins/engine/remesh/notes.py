@@ -11,9 +11,9 @@ from odt_plugins.engine.remesh.sizes import FINER, lengths_of, unique_edges
 from odt_plugins.engine.run.outcome import Outcome
 from odt_plugins.engine.surface.in_plane import in_space
 from odt_plugins.engine.surface.judge import values_on
-from odt_plugins.errors import counted
+from odt_plugins.errors import counted, place_within
 from odt_plugins.mesh.arrays import FloatArray
-from odt_plugins.mesh.simplex import SimplexMesh
+from odt_plugins.mesh.simplex import SimplexMesh, diagonal
 from odt_plugins.options import Options
 from odt_plugins.promise.good import fallen_since
 
@@ -43,7 +43,7 @@ def told_of_edges(outcome: Outcome, unit: float, multiple: FloatArray) -> tuple[
     finer = np.flatnonzero(multiple > FINER)
     if len(finer):
         most = finer[np.argmax(multiple[finer])]
-        place = ", ".join(f"{x:.4g}" for x in outcome.points[most])
+        place = place_within(diagonal(outcome.points), outcome.points[most])
         notes += (
             f"sizes are smaller than asked for at {counted(len(finer), 'vertex', 'vertices')}, "
             f"{np.median(multiple[finer]):.2g} times in the middle and {multiple[most]:.2g} times "
@@ -66,7 +66,7 @@ def told_of_triangles(base: SimplexMesh, asked: FloatArray, outcome: Outcome) ->
     if (short | long).any():
         inverse = np.divide(1.0, ratio, out=np.full(len(ratio), np.inf), where=ratio > 0.0)
         far = edges[np.argmax(np.maximum(ratio, inverse))]
-        place = ", ".join(f"{x:.4g}" for x in outcome.points[far].mean(axis=0))
+        place = place_within(diagonal(outcome.points), outcome.points[far].mean(axis=0))
         note += f", most of all near ({place})"
     return (note,)
 

@@ -15,11 +15,11 @@ from odt_plugins.engine.odt.density import smooth_over_stars
 from odt_plugins.engine.remesh.wish import Wish
 from odt_plugins.engine.topology.growth import grown_along
 from odt_plugins.engine.topology.star import star_sum
-from odt_plugins.errors import InvalidOptionError
+from odt_plugins.errors import InvalidOptionError, place_within
 from odt_plugins.mesh.arrays import FloatArray, IntArray, LongArray
 from odt_plugins.mesh.numbers import real_numbers
 from odt_plugins.mesh.seen import as_seen
-from odt_plugins.mesh.simplex import SimplexMesh, corner_mean
+from odt_plugins.mesh.simplex import SimplexMesh, corner_mean, diagonal
 
 LEAST = 1e-6
 """Smallest size, as a part of the diagonal."""
@@ -247,7 +247,7 @@ def lengths_at(given: Any, points: FloatArray, used: LongArray) -> FloatArray:
         raise InvalidOptionError(msg)
     bad = used[_bad(values[used])]
     if bad.size:
-        place = ", ".join(f"{x:.4g}" for x in points[bad[0]])
+        place = place_within(diagonal(points), points[bad[0]])
         msg = (f"got size {values[bad[0]]} at index {bad[0]}, at ({place}) ({bad.size} of them); "
                f"expected finite lengths above 0, try a number")
         raise InvalidOptionError(msg)
