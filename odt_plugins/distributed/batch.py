@@ -22,7 +22,7 @@ from glob import glob
 from pathlib import Path
 from typing import Any
 
-from odt_plugins.adapters.files import check_output, expect_same_kind
+from odt_plugins.adapters.files import chosen_format, expect_same_kind
 from odt_plugins.adapters.meshio_mesh import one_cell
 from odt_plugins.distributed.job import (
     REPORT,
@@ -172,8 +172,9 @@ def make_jobs(
     make_options(**{name: value for name, value in options.items()
                     if filled or name != "density" or not isinstance(value, str)})
     if suffix:
-        expect(suffix[0] == ".", "suffix", suffix, "one with its dot, as .vtu")
-        check_output(Path(tempfile.gettempdir()) / f"x{suffix}")
+        good = suffix[0] == "." and Path(suffix).name == suffix
+        expect(good, "suffix", suffix, "one with its dot, as .vtu")
+        chosen_format(Path(f"suffix={suffix}"))
     options = placed(options)
     sizes = settings.get("sizes", {})
     if settings.get("tetrahedralize"):

@@ -492,8 +492,10 @@ def test_results_never_share_a_place(place):
         make_jobs(paths, place, {"methot": "odt"})
     with pytest.raises(InvalidOptionError, match="plain value"):
         make_jobs(paths, place, {"fixed": np.zeros(3, dtype=int)})
-    with pytest.raises(MeshFileError, match="no suffix of a mesh file"):
+    with pytest.raises(MeshFileError, match=r"^suffix=\.xyzzy has no suffix of a mesh file"):
         make_jobs(paths, place, {}, suffix=".xyzzy")
+    with pytest.raises(InvalidOptionError, match=r"got suffix='\./x\.vtu'"):
+        make_jobs(paths, place, {}, suffix="./x.vtu")
 
 
 def test_a_folder_that_cannot_be_written_is_told_before_any_work(place, capsys):
