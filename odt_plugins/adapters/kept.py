@@ -24,7 +24,7 @@ from odt_plugins.mesh.faces import Faces, borders_of, ends_of, no_faces
 from odt_plugins.mesh.facets import directed_facets, facets_within, row_keys
 from odt_plugins.mesh.periodic import periodic_triangles
 from odt_plugins.mesh.simplex import SimplexMesh, freeze, with_same_cells
-from odt_plugins.mesh.soup import doubled_edges, twins
+from odt_plugins.mesh.soup import hold_twins, twins
 from odt_plugins.mesh.surface import disagreeing_edges
 
 NAMED = 5
@@ -432,7 +432,7 @@ def hold_places(
     notes = []
     same = twins(mesh.points, mesh.cells)
     if same.size and not (resized and mesh.is_surface):
-        mesh = freeze(mesh, mesh.frozen, same, doubled_edges(mesh.points, mesh.cells, same))
+        mesh = hold_twins(mesh, same)
         notes.append(f"{counted(len(same), 'vertex', 'vertices')} (first: {same[0]}) at the place "
                      f"of another one stay, so that patches do not come apart there; try merging "
                      f"vertices at the same place")

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.mesh.facets import row_keys
+from odt_plugins.mesh.simplex import SimplexMesh, freeze, with_same_cells
 
 
 def same_places(
@@ -57,15 +58,40 @@ def twins(points: NDArray[np.floating], cells: NDArray[np.integer]) -> NDArray[n
 def doubled_edges(
     points: NDArray[np.floating], cells: NDArray[np.integer], copies: NDArray[np.int64]
 ) -> NDArray[np.int64]:
-    """Edges (k, 2) of cells (m, d + 1) between such :func:`twins` that share both places."""
-    there = np.full(len(points), -1)
-    there[copies] = first_there(points[copies])
+    """Edges (k, 2) at such :func:`twins` of cells (m, d + 1) that lie on others."""
     corners = list(combinations(range(cells.shape[1]), 2))
-    edges = cells[:, corners].reshape(-1, 2)
-    edges = np.unique(np.sort(edges[(there[edges] >= 0).all(axis=1)], axis=1), axis=0)
+    near = cells[np.isin(cells, copies).any(axis=1)]
+    edges = np.unique(np.sort(near[:, corners].reshape(-1, 2), axis=1), axis=0)
+    return np.asarray(edges[doubled_rows(points, edges, copies)], dtype=np.int64)
+
+
+def doubled_rows(
+    points: NDArray[np.floating], rows: NDArray[np.integer], copies: NDArray[np.int64]
+) -> NDArray[np.bool_]:
+    """Which of different edges or cells (k, j) share the places of all corners, some of them such
+    :func:`twins`, with another one.
+    """
+    there = np.arange(len(points))
+    there[copies] = copies[first_there(points[copies])]
+    out = np.zeros(len(rows), dtype=np.bool_)
+    near = np.flatnonzero(np.isin(rows, copies).any(axis=1))
     _, place, count = np.unique(
-        np.sort(there[edges], axis=1), axis=0, return_inverse=True, return_counts=True)
-    return np.asarray(edges[count[place.ravel()] > 1], dtype=np.int64)
+        np.sort(there[rows[near]], axis=1), axis=0, return_inverse=True, return_counts=True)
+    out[near] = count[place.ravel()] > 1
+    return out
+
+
+def hold_twins(mesh: SimplexMesh, copies: NDArray[np.int64]) -> SimplexMesh:
+    """Fix such :func:`twins`, and let edges and facets stay that share their places with others."""
+    facets = mesh.cells if mesh.is_surface else mesh.uneven.open
+    double = doubled_rows(mesh.points, facets, copies)
+    edges = doubled_edges(mesh.points, mesh.cells, copies)
+    if mesh.is_surface:
+        held = with_same_cells(mesh, lines=np.concatenate([mesh.lines, edges.astype(np.int32)]))
+        return freeze(held, held.frozen | double, np.append(copies, edges), edges)
+    corners = list(combinations(range(facets.shape[1]), 2))
+    edges = np.concatenate([edges, facets[double][:, corners].reshape(-1, 2)])
+    return freeze(mesh, mesh.frozen, np.append(copies, edges), edges)
 
 
 def first_there(points: NDArray[np.floating]) -> NDArray[np.int64]:

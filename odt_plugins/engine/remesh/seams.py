@@ -20,7 +20,7 @@ from odt_plugins.mesh.arrays import FloatArray, IntArray, LongArray
 from odt_plugins.mesh.components import components
 from odt_plugins.mesh.faces import Faces, ends_of, joined, labels_at, renumbered
 from odt_plugins.mesh.simplex import SimplexMesh, freeze
-from odt_plugins.mesh.soup import doubled_edges, first_there, twins
+from odt_plugins.mesh.soup import doubled_edges, doubled_rows, first_there, hold_twins, twins
 from odt_plugins.mesh.surface import opposed, surface_edges
 from odt_plugins.options import Options
 
@@ -50,26 +50,27 @@ def sewn(mesh: SimplexMesh) -> Sewn | None:
     are there, or what is sewn up would be no such surface, all of them stay.
     """
     copies = twins(mesh.points, mesh.cells)
+    doubled: IntArray = doubled_edges(mesh.points, mesh.cells, copies).astype(np.int32)
     if not len(copies) or mesh.fixed[copies].all():
         return None
     count = f"{counted(len(copies), 'vertex', 'vertices')} (first: {copies[0]}) at the place of "
     same, seam = _same_on_seams(mesh, copies)
     label = int(mesh.faces[0].labels.max(initial=-1)) + 1
-    doubled: IntArray = doubled_edges(mesh.points, mesh.cells, copies).astype(np.int32)
     if not len(seam) or np.isin(copies, mesh.faces[0].rows).any():
         note = (f"{count}another one stay, so that patches do not come apart there; try merging "
                 f"vertices at the same place")
-        return Sewn(freeze(mesh, mesh.frozen, copies, doubled), np.arange(len(same)), label, note)
+        return Sewn(hold_twins(mesh, copies), np.arange(len(same)), label, note)
     lines = Faces(seam, np.full(len(seam), label, dtype=np.int32))
     cells, lines_before, stays, doubled = (
         same[rows].astype(np.int32) for rows in (mesh.cells, mesh.lines, mesh.stays, doubled))
     doubled = doubled[labels_at(doubled, lines) < 0]
-    fixed, anchored, coupled = mesh.fixed.copy(), mesh.anchored.copy(), mesh.coupled.copy()
+    still = freeze(mesh, mesh.frozen | doubled_rows(mesh.points, mesh.cells, copies))
+    fixed, anchored, coupled = still.fixed.copy(), mesh.anchored.copy(), mesh.coupled.copy()
     for marks in (fixed, anchored, coupled):
         np.logical_or.at(marks, same, marks)
     fixed[twins(mesh.points, cells)] = True
     whole = replace(
-        mesh, cells=cells, fixed=fixed | ends_of(lines, len(same)), anchored=anchored,
+        still, cells=cells, fixed=fixed | ends_of(lines, len(same)), anchored=anchored,
         coupled=coupled, stays=np.concatenate([stays, doubled]),
         lines=np.concatenate([lines_before, seam]),
         faces=(joined(mesh.faces[0], lines), mesh.faces[1]))

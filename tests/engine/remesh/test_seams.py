@@ -146,6 +146,55 @@ def test_lines_and_named_vertices_of_soups_are_where_they_were():
     np.testing.assert_array_equal(out.points[out.point_sets["corner"]], points[rows[-1, 2:]])
 
 
+def cracked(n=4):
+    """Tetrahedra with a slit inside, whose rim both sides have in common."""
+    points, cells = tet_meshes.grid(n, 1)
+    step = np.linspace(0, 1, n + 1)
+    place = np.stack(np.meshgrid(step, step, step, indexing="ij"), axis=-1).reshape(-1, 3)
+    middle = place[:, 0] == step[n // 2]
+    points[middle, 0] = points[middle, 0].mean()
+    inside = middle & ((place[:, 1:] > 0) & (place[:, 1:] < 1)).all(axis=1)
+    right = points[cells].mean(axis=1)[:, 0] > points[middle, 0].mean()
+    number = np.arange(len(points))
+    number[inside] = len(points) + np.arange(inside.sum())
+    cells[right] = number[cells[right]]
+    return np.concatenate([points, points[inside]]), cells
+
+
+@pytest.mark.parametrize("scale", [0.6, 1.5])
+def test_both_sides_of_a_slit_stay_on_each_other_up_to_its_rim(scale):
+    points, cells = cracked()
+    before = doubled(points, cells)
+    out, now = odt_plugins.remesh((points, cells), scale=scale, envelope=0.01)
+    assert len(now) != len(cells)
+    assert len(before) > 20
+    assert doubled(out, now) == before
+
+
+def shared(points, cells):
+    """Triangles whose place another one has, too, as sorted coordinates."""
+    place = np.unique(points, axis=0, return_inverse=True)[1].ravel()
+    _, which, count = np.unique(np.sort(place[cells], axis=1), axis=0, return_inverse=True,
+                                return_counts=True)
+    return {tuple(sorted(map(tuple, points[row]))) for row in cells[count[which.ravel()] == 2]}
+
+
+@pytest.mark.parametrize("scale", [None, 0.25, 1.5])
+def test_sides_that_bodies_have_in_common_stay_as_they_are(scale):
+    points, cells = surface_meshes.cube(6, noise=0.3)
+    side = points[:, 0].max()
+    other = np.where(points[:, :1] == side, points, points + np.array([0.0, 0.02, 0.01]))
+    other[:, 0] = side + 2.0 * (side - other[:, 0])
+    points, cells = np.concatenate([points, other]), np.concatenate(
+        [cells, len(points) + cells[:, ::-1]])
+    before = shared(points, cells)
+    out, now = (odt_plugins.optimize((points, cells)) if scale is None else
+                odt_plugins.remesh((points, cells), scale=scale))
+    assert not np.array_equal(now, cells)
+    assert len(before) == 72
+    assert shared(out, now) == before
+
+
 def test_what_may_not_be_sewn_up_stays():
     points, cells, half = ball(12, 6)
     mesh = surface_mesh(points, cells)
