@@ -46,12 +46,13 @@ class Sewn(NamedTuple):
 def sewn(mesh: SimplexMesh) -> Sewn | None:
     """Sew a surface up where triangles on both sides of an edge have vertices of their own.
 
-    None where no vertex that may move shares its place with another one. Where lines with labels
-    are there, or what is sewn up would be no such surface, all of them stay.
+    None where vertices that share their place with another one stay, and edges between them. Where
+    lines with labels are there, or what is sewn up would be no such surface, all of them stay.
     """
     copies = twins(mesh.points, mesh.cells)
     doubled: IntArray = doubled_edges(mesh.points, mesh.cells, copies).astype(np.int32)
-    if not len(copies) or mesh.fixed[copies].all():
+    held = Faces(mesh.stays, np.zeros(len(mesh.stays), dtype=np.int32))
+    if mesh.fixed[copies].all() and (labels_at(doubled, held) >= 0).all():
         return None
     count = f"{counted(len(copies), 'vertex', 'vertices')} (first: {copies[0]}) at the place of "
     same, seam = _same_on_seams(mesh, copies)

@@ -16,6 +16,7 @@ from attack import judge
 import odt_plugins
 from odt_plugins.engine.remesh.seams import sewn
 from odt_plugins.mesh.faces import Faces
+from odt_plugins.mesh.soup import twins
 from odt_plugins.mesh.surface import surface_mesh
 
 
@@ -56,6 +57,15 @@ def test_both_sides_of_a_seam_get_the_same_other_sizes(scale):
     assert share < 0.7 if scale > 1 else share > 1.3
     assert report.after.mean_quality > 0.9
     assert any("on seams" in note for note in report.notes)
+
+
+def test_seams_that_are_fixed_do_not_crack():
+    points, cells, _half = ball()
+    fixed = twins(points, cells)
+    out, now = odt_plugins.remesh((points, cells), scale=0.6, fixed=fixed, envelope=0.01)
+    assert len(now) > 1.5 * len(cells)
+    assert {*rims(out, now).tolist()} == {1, 2}
+    assert {*map(tuple, points[fixed])} <= {*map(tuple, out)}
 
 
 @pytest.mark.parametrize("scale", [0.8, 1.6])
