@@ -69,14 +69,17 @@ def sewn(mesh: SimplexMesh) -> Sewn | None:
     fixed, anchored, coupled = still.fixed.copy(), mesh.anchored.copy(), mesh.coupled.copy()
     for marks in (fixed, anchored, coupled):
         np.logical_or.at(marks, same, marks)
-    fixed[twins(mesh.points, cells)] = True
+    left = twins(mesh.points, cells)
+    fixed[left] = True
     whole = replace(
         still, cells=cells, fixed=fixed | ends_of(lines, len(same)), anchored=anchored,
         coupled=coupled, stays=np.concatenate([stays, doubled]),
         lines=np.concatenate([lines_before, seam]),
         faces=(joined(mesh.faces[0], lines), mesh.faces[1]))
-    return Sewn(whole, same, label, f"{count}another one are on seams, which stay and get the same "
-                                    f"other sizes on both sides; try merging them if no data jump")
+    stay = int(np.isin(same[copies], left).sum())
+    note = f"{count}another one are on seams, both sides of which get the same other sizes" + (
+        f"; {stay} of them stay, so that patches do not come apart there" if stay else "")
+    return Sewn(whole, same, label, f"{note}; try merging them if no data jump there")
 
 
 def as_sewn(

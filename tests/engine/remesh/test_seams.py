@@ -211,6 +211,7 @@ def test_what_may_not_be_sewn_up_stays():
     found = sewn(mesh)
     assert found is not None
     assert len(found.mesh.lines)
+    assert "of them stay" not in found.note
     assert len(np.unique(found.mesh.cells)) == 12 * 7
     assert sewn(found.mesh) is None
     copy = np.flatnonzero(found.same != np.arange(len(points)))
@@ -226,6 +227,7 @@ def test_what_may_not_be_sewn_up_stays():
     part = sewn(surface_mesh(points, turned))
     assert part is not None
     assert len(np.unique(part.mesh.cells)) > 12 * 7
+    assert f"; {2 * 13} of them stay" in part.note
     assert sewn(surface_mesh(*_one_sheet())) is None
 
 
