@@ -96,7 +96,8 @@ def as_sewn(
     if found.origin is None:
         outcome = leaving(unchanged(mesh, found.stop_reason))
         return replace(outcome, fallback=found.fallback, notes=(seams.note, *found.notes))
-    return leaving(replace(_cut(mesh, seams, found), notes=(seams.note, *found.notes)))
+    outcome = found if seams.mesh.cells is mesh.cells else leaving(_cut(mesh, seams, found))
+    return replace(outcome, notes=(seams.note, *found.notes))
 
 
 def _same_on_seams(mesh: SimplexMesh, copies: LongArray) -> tuple[LongArray, IntArray]:
