@@ -24,7 +24,7 @@ from odt_plugins.mesh.faces import Faces, borders_of, ends_of, no_faces
 from odt_plugins.mesh.facets import directed_facets, facets_within, row_keys
 from odt_plugins.mesh.periodic import periodic_triangles
 from odt_plugins.mesh.simplex import SimplexMesh, freeze, with_same_cells
-from odt_plugins.mesh.soup import hold_twins, twins
+from odt_plugins.mesh.soup import HELD, hold_twins, told_of_twins, twins
 from odt_plugins.mesh.surface import disagreeing_edges
 
 NAMED = 5
@@ -433,9 +433,7 @@ def hold_places(
     same = twins(mesh.points, mesh.cells)
     if same.size and not (resized and mesh.is_surface):
         mesh = hold_twins(mesh, same)
-        notes.append(f"{counted(len(same), 'vertex', 'vertices')} (first: {same[0]}) at the place "
-                     f"of another one stay, so that patches do not come apart there; try merging "
-                     f"vertices at the same place")
+        notes.append(told_of_twins(same, HELD))
     splines = sum(len(rows) for kind, rows, *_ in host.kept if kind == SPLINE_VERTEX)
     if splines:
         notes.append(f"{counted(splines, 'vertex', 'vertices')} on splines stay, since Netgen "

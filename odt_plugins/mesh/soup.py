@@ -8,8 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from odt_plugins.errors import counted
 from odt_plugins.mesh.facets import row_keys
 from odt_plugins.mesh.simplex import SimplexMesh, freeze, with_same_cells
+
+HELD = "stay, so that patches do not come apart there; try merging vertices at the same place"
+"""What is told of vertices that are held since they share their places."""
 
 
 def same_places(
@@ -92,6 +96,12 @@ def hold_twins(mesh: SimplexMesh, copies: NDArray[np.int64]) -> SimplexMesh:
     corners = list(combinations(range(facets.shape[1]), 2))
     edges = np.concatenate([edges, facets[double][:, corners].reshape(-1, 2)])
     return freeze(mesh, mesh.frozen, np.append(copies, edges), edges)
+
+
+def told_of_twins(copies: NDArray[np.int64], told: str) -> str:
+    """A note on such :func:`twins`, and what is told of them."""
+    count = counted(len(copies), "vertex", "vertices")
+    return f"{count} (first: {copies[0]}) at the place of another one {told}"
 
 
 def first_there(points: NDArray[np.floating]) -> NDArray[np.int64]:

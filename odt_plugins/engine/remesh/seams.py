@@ -15,12 +15,19 @@ from numpy.typing import NDArray
 
 from odt_plugins.engine.run.outcome import Leaving, Outcome, unchanged
 from odt_plugins.engine.surface.sides import patches
-from odt_plugins.errors import counted
 from odt_plugins.mesh.arrays import FloatArray, IntArray, LongArray
 from odt_plugins.mesh.components import components
 from odt_plugins.mesh.faces import Faces, ends_of, joined, labels_at, renumbered
 from odt_plugins.mesh.simplex import SimplexMesh, freeze
-from odt_plugins.mesh.soup import doubled_edges, doubled_rows, first_there, hold_twins, twins
+from odt_plugins.mesh.soup import (
+    HELD,
+    doubled_edges,
+    doubled_rows,
+    first_there,
+    hold_twins,
+    told_of_twins,
+    twins,
+)
 from odt_plugins.mesh.surface import opposed, surface_edges
 from odt_plugins.options import Options
 
@@ -32,8 +39,8 @@ class Sewn(NamedTuple):
     ----------
     mesh : SimplexMesh    vertices at one place on a seam count as the first of them
     same : (n,) int64     first vertex at the place of every vertex on a seam, others themselves
-    label : int           of the lines that the seams are; where there are none vertices at one
-                          place stay instead
+    label : int           of the lines that the seams are, -1 where vertices at one place stay
+                          instead
     note : str            what was done
     """
 
@@ -54,13 +61,11 @@ def sewn(mesh: SimplexMesh) -> Sewn | None:
     held = Faces(mesh.stays, np.zeros(len(mesh.stays), dtype=np.int32))
     if mesh.fixed[copies].all() and (labels_at(doubled, held) >= 0).all():
         return None
-    count = f"{counted(len(copies), 'vertex', 'vertices')} (first: {copies[0]}) at the place of "
     same, seam = _same_on_seams(mesh, copies)
-    label = int(mesh.faces[0].labels.max(initial=-1)) + 1
     if not len(seam) or np.isin(copies, mesh.faces[0].rows).any():
-        note = (f"{count}another one stay, so that patches do not come apart there; try merging "
-                f"vertices at the same place")
-        return Sewn(hold_twins(mesh, copies), np.arange(len(same)), label, note)
+        note = told_of_twins(copies, HELD)
+        return Sewn(hold_twins(mesh, copies), np.arange(len(same)), -1, note)
+    label = int(mesh.faces[0].labels.max(initial=-1)) + 1
     lines = Faces(seam, np.full(len(seam), label, dtype=np.int32))
     cells, lines_before, stays, doubled = (
         same[rows].astype(np.int32) for rows in (mesh.cells, mesh.lines, mesh.stays, doubled))
@@ -77,9 +82,10 @@ def sewn(mesh: SimplexMesh) -> Sewn | None:
         lines=np.concatenate([lines_before, seam]),
         faces=(joined(mesh.faces[0], lines), mesh.faces[1]))
     stay = int(np.isin(same[copies], left).sum())
-    note = f"{count}another one are on seams, both sides of which get the same other sizes" + (
+    told = "are on seams, both sides of which get the same other sizes" + (
         f"; {stay} of them stay, so that patches do not come apart there" if stay else "")
-    return Sewn(whole, same, label, f"{note}; try merging them if no data jump there")
+    note = told_of_twins(copies, f"{told}; try merging them if no data jump there")
+    return Sewn(whole, same, label, note)
 
 
 def as_sewn(
@@ -96,7 +102,7 @@ def as_sewn(
     if found.origin is None:
         outcome = leaving(unchanged(mesh, found.stop_reason))
         return replace(outcome, fallback=found.fallback, notes=(seams.note, *found.notes))
-    outcome = found if seams.mesh.cells is mesh.cells else leaving(_cut(mesh, seams, found))
+    outcome = found if seams.label < 0 else leaving(_cut(mesh, seams, found))
     return replace(outcome, notes=(seams.note, *found.notes))
 
 
