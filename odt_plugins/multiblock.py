@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from numbers import Integral
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -38,7 +39,7 @@ def has_parts(mesh: object) -> bool:
 
 def run_parts(
     mesh: Any, options: Mapping[str, Any], one: Callable[..., tuple[Any, Any]],
-    *, slides: bool = False,
+    *, slides: bool = False, totals: Mapping[str, Any] = {},
 ) -> tuple[Any, list[Any]]:
     """Optimise every part of an object by itself.
 
@@ -49,6 +50,8 @@ def run_parts(
     one : callable     optimises a part with options: its result and report
     slides : bool      whether boundaries slide unless options say; then those of parts that touch
                        stay
+    totals : dict      numbers of "cells" and "vertices" of all parts, of which each gets a share in
+                       proportion to its own
 
     Returns
     -------
@@ -67,9 +70,10 @@ def run_parts(
         raise InvalidOptionError(msg)
     names = whole.chosen(mesh)
     parts = [whole.part_at(mesh, key) for key in names]
-    shown = []
+    shown, own = [], []
     for i, (key, name) in enumerate(names.items()):
         host = _named(whole.PART, name, find_adapter(parts[i]).read, parts[i])
+        own.append({"cells": len(host.cells), "vertices": len(np.unique(host.cells))})
         shown += [_Shown(i, places, np.asarray(host.cells, dtype=np.int64))
                   for places in whole.placed(mesh, key, np.asarray(host.points, np.float64))]
     touch, rims = _shared(shown)
@@ -82,6 +86,8 @@ def run_parts(
         for i, name in enumerate(names.values()):
             stays = slides and i in touch and "boundary" not in options
             told: dict[str, Any] = {"boundary": "fixed"} if stays else {}
+            told |= {name: _share(total, own[i][name], sum(count[name] for count in own))
+                     for name, total in totals.items()}
             if options.get("progress"):
                 told["progress"] = part(progress, i / len(parts), (i + 1) / len(parts))
             held = rims.get(i)
@@ -100,6 +106,12 @@ def run_parts(
             results.append(result)
             reports.append(report)
     return whole.replaced(mesh, dict(zip(names, results, strict=True))), reports
+
+
+def _share(total: Any, count: int, of: int) -> Any:
+    """The share, at least 1, that a part with a count of all has in a total, if it is a number."""
+    good = isinstance(total, Integral) and not isinstance(total, bool) and int(total) >= 1
+    return max(1, round(int(total) * count / max(of, 1))) if good else total
 
 
 def _named(kind: str, name: str, call: Callable[..., Any], *given: Any, **options: Any) -> Any:

@@ -54,7 +54,8 @@ def remesh(
                               coarse everywhere; with a `metric`, of the lengths that it gives,
                               which are what is wanted where nothing else is said
     cells, vertices : int     instead, how many there are to be, as near as possible, where sizes
-                              are in proportion as they are; vertices are corners of cells
+                              are in proportion as they are; vertices are corners of cells. Of
+                              several blocks or geometries, as many in all
     growth : float            largest ratio of the sizes at the ends of an edge as long as the
                               smaller one; what grows faster is made smaller. 1.3 unless given, 3
                               with a `metric`, of lengths in any direction
@@ -103,7 +104,7 @@ def remesh(
                               "growth": growth, "most_cells": most_cells, "adapt": adapt}
     if has_parts(mesh):
         one = partial(remesh_with_report, size=size, **wishes)
-        return run_parts(mesh, options, one, slides=True)[0]
+        return run_parts(mesh, options, one, slides=True, totals=_totals(wishes))[0]
     return _run(mesh, size, wishes, _checked(options))[0]
 
 
@@ -128,11 +129,16 @@ def remesh_with_report(
                               "growth": growth, "most_cells": most_cells, "adapt": adapt}
     if has_parts(mesh):
         one = partial(remesh_with_report, size=size, **wishes)
-        whole, reports = run_parts(mesh, options, one, slides=True)
+        whole, reports = run_parts(mesh, options, one, slides=True, totals=_totals(wishes))
         return whole, report_of_parts(reports)
     chosen = _checked(options)
     result, before, outcome, told = _run(mesh, size, wishes, chosen)
     return result, make_report(before, outcome, replace(chosen, density="keep"), **told)
+
+
+def _totals(wishes: dict[str, Any]) -> dict[str, Any]:
+    """Numbers that the parts of an object have together."""
+    return {name: plain_values(name, wishes[name]) for name in ("cells", "vertices")}
 
 
 def _checked(options: Any) -> Options:
