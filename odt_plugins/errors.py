@@ -186,7 +186,7 @@ def plain_values(name: str, values: Any, error: type[ODTError] = InvalidOptionEr
         first = bad[0][0] if len(bad) else 0
         what = counted(len(bad[0]) if len(bad) else 1, "masked value")
         msg = (f"{name} has {what} (first: at index {first}); expected none, try "
-               f"{name}.filled(...), or leave out what is masked")
+               f"its method filled(...), or leave out what is masked")
         raise error(msg)
     if is_number(values):
         try:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.errors import InvalidMeshError, UnsupportedMeshError, counted
+from odt_plugins.errors import InvalidMeshError, UnsupportedMeshError, counted, plain_values
 
 NOT_CELL_INDICES = ("gmsh:bounding_entities",)
 """Cell sets that hold something else than indices of cells."""
@@ -22,9 +22,9 @@ def expect_one_each(
 
     Raises
     ------
-    InvalidMeshError    there are more or fewer
+    InvalidMeshError    there are more or fewer, or some of a masked array are masked
     """
-    found = np.asarray(values)
+    found = np.asarray(plain_values(name, values, InvalidMeshError))
     if found.shape[:1] != (count,):
         have = counted(len(found) if found.ndim else 0, "entry", "entries")
         msg = f"{name} has {have} for {counted(count, word, plural)}; expected one a {word}"

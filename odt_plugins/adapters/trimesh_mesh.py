@@ -21,7 +21,7 @@ from odt_plugins.adapters.fields import dense, sampled
 from odt_plugins.adapters.host import HostMesh, Result, is_instance
 from odt_plugins.adapters.regions import region_labels
 from odt_plugins.adapters.wedges import slid
-from odt_plugins.errors import UnsupportedMeshError
+from odt_plugins.errors import InvalidMeshError, UnsupportedMeshError, plain_values
 
 MATERIALS, COLOURS, VISUAL = "face_materials", "vertex_colors", "visual."
 
@@ -139,6 +139,7 @@ def _beside_uv(mesh: Any) -> dict[str, Any]:
 
 
 def _of_length(attributes: Any, count: int) -> dict[str, NDArray[Any]]:
-    """Attributes that have one entry for each of the vertices or faces."""
-    arrays = {name: np.asarray(values) for name, values in attributes.items()}
+    """Attributes that have one entry for each of the vertices or faces, of which none is masked."""
+    arrays = {name: np.asarray(plain_values(f"attribute {name!r}", values, InvalidMeshError))
+              for name, values in attributes.items()}
     return {name: values for name, values in arrays.items() if values.ndim and len(values) == count}

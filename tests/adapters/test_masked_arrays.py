@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import meshio
 import numpy as np
 import pytest
 from scipy.spatial import Delaunay
@@ -50,3 +51,28 @@ def test_what_is_transferred_may_be_masked_nowhere():
     assert len(report.transfer(masked(POINTS))) == 40
     with pytest.raises(odt_plugins.InvalidOptionError, match="values has 1 masked value "):
         report.transfer(masked(POINTS[:, 0], 9))
+
+
+def with_values(toolkit, at, values):
+    """The mesh of a toolkit with an array at its points or cells."""
+    if toolkit == "meshio":
+        mesh = meshio.Mesh(POINTS, [("triangle", CELLS)])
+        if at == "points":
+            mesh.point_data["p"] = values
+        else:
+            mesh.cell_data["p"] = [values]
+        return mesh
+    mesh = pytest.importorskip("trimesh").creation.icosphere(1)
+    (mesh.vertex_attributes if at == "points" else mesh.face_attributes)["p"] = values
+    return mesh
+
+
+@pytest.mark.parametrize("at", ["points", "cells"])
+@pytest.mark.parametrize("toolkit", ["meshio", "trimesh"])
+def test_arrays_of_a_mesh_with_masked_values_are_refused(toolkit, at):
+    counts = {"meshio": (len(POINTS), len(CELLS)), "trimesh": (42, 80)}[toolkit]
+    values = np.arange(counts[at == "cells"], dtype=float)
+    odt_plugins.optimize(with_values(toolkit, at, masked(values)))
+    said = r"'p'.* has 2 masked values .*index 1.*filled"
+    with pytest.raises(odt_plugins.InvalidMeshError, match=said):
+        odt_plugins.optimize(with_values(toolkit, at, masked(values, 1, 3)))
