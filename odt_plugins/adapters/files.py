@@ -86,7 +86,7 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
     """Read the file and take the arrays out as of any meshio.Mesh."""
     found = read_file(mesh)
     if trimesh_scene.matches(found):
-        return trimesh_scene.read(found, regions)
+        return trimesh_scene.read(found, regions, trimesh_scene.LOADED)
     return meshio_mesh.read(found, regions)
 
 

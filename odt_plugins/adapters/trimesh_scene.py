@@ -24,16 +24,21 @@ PART, PARTS = "geometry", "geometries"
 TOGETHER = "mesh.to_mesh()"
 """What makes one mesh of a scene."""
 
+LOADED = "trimesh.load_scene(path), or trimesh.load_mesh(path) for one mesh"
+"""What reads a scene, or one mesh, from a file."""
+
 
 def matches(mesh: object) -> bool:
     """Say whether this is a Scene of trimesh."""
     return is_instance(mesh, "trimesh", "Scene")
 
 
-def read(mesh: Any, regions: str | Sequence[str] | None = None) -> NoReturn:
-    """Refuse what needs a single mesh."""
+def read(
+    mesh: Any, regions: str | Sequence[str] | None = None, remedy: str = TOGETHER
+) -> NoReturn:
+    """Refuse what needs a single mesh, and say what to try."""
     found = counted(len(mesh.geometry), "geometry", "geometries")
-    msg = f"got a trimesh Scene of {found} where a single mesh is needed, try {TOGETHER}"
+    msg = f"got a trimesh Scene of {found} where a single mesh is needed, try {remedy}"
     raise UnsupportedMeshError(msg)
 
 

@@ -176,7 +176,7 @@ def in_flags(text: str) -> str:
 
     A method of scenes becomes what is to be done with the file.
     """
-    from odt_plugins.adapters.trimesh_scene import TOGETHER
+    from odt_plugins.adapters.trimesh_scene import LOADED, TOGETHER
     from odt_plugins.remeshing import WISHES
 
     def called(found: re.Match[str]) -> str:
@@ -192,7 +192,8 @@ def in_flags(text: str) -> str:
     own = (name for name, about in OPTIONS.items() if about.metadata["flag"] is not None)
     names = "|".join(("size", "file_format", *OF_DOMAINS, *WISHES, *own))
     value = r"""'[^']*'|"[^"]*"|\([^()]*\)|[-+.\w]*\w"""
-    text = text.replace(TOGETHER, JOINED).replace("untangle(mesh, partial=True)", PARTLY)
+    text = text.replace(TOGETHER, JOINED).replace(LOADED, JOINED)
+    text = text.replace("untangle(mesh, partial=True)", PARTLY)
     text = re.sub(r"smoothing=\{'(\w+)': '?([^{}']*)'?\}", r"--smoothing \1=\2", text)
     text = re.sub(rf"(?<![\w.-])({names})=({value})", flag, text)
     return re.sub(rf"(?<![\w.-])({names})=(?=[\s,.;)]|$)",

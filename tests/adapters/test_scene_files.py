@@ -11,7 +11,7 @@ import trimesh
 from PIL import Image
 
 from odt_plugins.adapters.files import read_file
-from odt_plugins.api import optimize, optimize_file
+from odt_plugins.api import optimize, optimize_file, quality
 from odt_plugins.cli.main import main
 from odt_plugins.errors import DataNotKeptWarning, MeshFileError, UnsupportedMeshError
 
@@ -99,6 +99,17 @@ def test_a_scene_goes_into_no_file_of_a_mesh_and_a_mesh_into_none_of_a_scene(sce
         assert not (tmp_path / target).exists()
     with pytest.raises(UnsupportedMeshError, match="Scene of 2 geometries"):
         optimize(scene)
+
+
+def test_what_is_to_be_tried_with_the_path_of_a_scene_helps(scene, tmp_path, capsys):
+    loaded = r"trimesh\.load_scene\(path\), or trimesh\.load_mesh\(path\)"
+    for call in (quality, optimize):
+        with pytest.raises(UnsupportedMeshError, match=f"Scene of 2 geometries .*try {loaded}"):
+            call(scene)
+        call(trimesh.load_mesh(scene))
+    optimize(trimesh.load_scene(scene))
+    assert main(["quality", str(scene)]) != 0
+    assert "try an INPUT whose geometries are joined to one" in capsys.readouterr().err
 
 
 def test_broken_files_are_refused_by_a_sentence(scene, tmp_path, capsys):
