@@ -238,6 +238,25 @@ def test_every_host_keeps_integrals_in_the_plane(host):
     assert sorted(report.interpolated) == ["height", "linear"]
 
 
+def test_pymeshlab_keeps_integrals_of_faces_alone_that_all_stay():
+    pymeshlab = pytest.importorskip("pymeshlab")
+    points, cells = surface_meshes.sphere(2, noise=0.02)
+    heat = np.random.default_rng(2).random(len(cells))
+    mesh = pymeshlab.Mesh(points, cells, f_scalar_array=heat)
+    mesh.add_face_custom_scalar_attribute(heat, "heat")
+    out = odt_plugins.optimize(mesh, fields="conserve", smoothing={"connectivity": "none"})
+    assert np.array_equal(out.face_matrix(), cells)
+    assert (out.vertex_matrix() != points).any()
+
+    def areas(places):
+        a, b, c = places[cells].transpose(1, 0, 2)
+        return 0.5 * np.sqrt((np.cross(b - a, c - a) ** 2).sum(axis=1))
+
+    want, now = (areas(points) * heat).sum(), areas(out.vertex_matrix())
+    for values in (out.face_scalar_array(), out.face_custom_scalar_attribute_array("heat")):
+        assert (now * values).sum() == pytest.approx(want, rel=1e-12)
+
+
 @pytest.mark.parametrize(("d", "options"), [
     (3, {}), (3, {"insert": True})])
 def test_regions_keep_integrals(d, options):

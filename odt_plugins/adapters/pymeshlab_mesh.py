@@ -127,7 +127,7 @@ def write(result: Result, host: HostMesh) -> Any:
     """Move the vertices or exchange the faces of the current mesh, in a copy unless InPlace."""
     source = host.source
     moves = result.feet is None and result.vertices is None
-    moves = moves and np.array_equal(result.cells, host.cells)
+    moves = moves and not result.of_cells and np.array_equal(result.cells, host.cells)
     if isinstance(source, InPlace):
         if moves:
             move_vertices(source.meshes, result.points)
