@@ -244,6 +244,7 @@ def test_pymeshlab_keeps_integrals_of_faces_alone_that_all_stay():
     heat = np.random.default_rng(2).random(len(cells))
     mesh = pymeshlab.Mesh(points, cells, f_scalar_array=heat)
     mesh.add_face_custom_scalar_attribute(heat, "heat")
+    mesh.add_face_custom_point_attribute(np.stack([heat] * 3, axis=1), "flow")
     out = odt_plugins.optimize(mesh, fields="conserve", smoothing={"connectivity": "none"})
     assert np.array_equal(out.face_matrix(), cells)
     assert (out.vertex_matrix() != points).any()
@@ -253,7 +254,8 @@ def test_pymeshlab_keeps_integrals_of_faces_alone_that_all_stay():
         return 0.5 * np.sqrt((np.cross(b - a, c - a) ** 2).sum(axis=1))
 
     want, now = (areas(points) * heat).sum(), areas(out.vertex_matrix())
-    for values in (out.face_scalar_array(), out.face_custom_scalar_attribute_array("heat")):
+    for values in (out.face_scalar_array(), out.face_custom_scalar_attribute_array("heat"),
+                   *out.face_custom_point_attribute_matrix("flow").T):
         assert (now * values).sum() == pytest.approx(want, rel=1e-12)
 
 

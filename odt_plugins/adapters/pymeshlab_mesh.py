@@ -118,7 +118,7 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
         words=lambda text: text.replace("merging vertices at the same place",
                                         "meshing_remove_duplicate_vertices()"),
         fields=sampled(_vertex_data(inner, copy)),
-        densities=dense(arrays | _face_scalar(inner)),
+        densities=dense(arrays | _face_data(inner, copy)),
         follows=False,
     )
 
@@ -167,10 +167,13 @@ def _vertex_data(mesh: Any, meshes: Any) -> dict[str, NDArray[Any]]:
     return out | ({VERTEX_SCALAR: scalars} if scalars.any() else {})
 
 
-def _face_scalar(mesh: Any) -> dict[str, NDArray[Any]]:
-    """Scalars of the faces, where there are others than 0."""
+def _face_data(mesh: Any, meshes: Any) -> dict[str, NDArray[Any]]:
+    """Custom points of the faces, and their scalars where there are others than 0."""
+    out: dict[str, NDArray[Any]] = {
+        attribute.name: attribute.values(mesh) for attribute in custom_attributes(meshes)
+        if attribute.reader == "face_custom_point_attribute_matrix"}
     scalars = np.array(mesh.face_scalar_array()) if mesh.has_face_scalar() else np.zeros(0)
-    return {FACE_SCALAR: scalars} if scalars.any() else {}
+    return out | ({FACE_SCALAR: scalars} if scalars.any() else {})
 
 
 def _labels(mesh: Any, names: list[Attribute]) -> dict[str, NDArray[Any]]:
