@@ -50,6 +50,7 @@ def clean_up(
     stars = vertex_stars(cells, len(points))
     count = np.diff(stars.indptr)
     few = ~keep & np.where(rim, (count == 2) | (count == 3), (count == 3) | (count == 4))
+    quality = radius_ratio(points, cells)
     touched = np.zeros(len(points), dtype=np.bool_)
     gone = np.zeros(len(cells), dtype=np.bool_)
     new: list[tuple[int, ...]] = []
@@ -58,7 +59,7 @@ def clean_up(
         star = cells[around]
         if touched[star].any():
             continue
-        worst = radius_ratio(points, star).min()
+        worst = quality[around].min()
         ring = _ring(v, star)
         best = _filling(points, ring)
         if rim[v] and best is not None:
@@ -102,6 +103,6 @@ def _filling(points: FloatArray, ring: list[int]) -> tuple[float, list[tuple[int
         choices = [[(a, b, c), (a, c, d)], [(a, b, d), (b, c, d)]]
     else:
         return None
-    scored = [(float(radius_ratio(points, np.array(c)).min()), c) for c in choices]
-    least, cells = max(scored)
+    found = radius_ratio(points, np.array(choices).reshape(-1, 3)).reshape(len(choices), -1)
+    least, cells = max(zip(found.min(axis=1).tolist(), choices, strict=True))
     return (least, cells) if least > 0.0 else None
