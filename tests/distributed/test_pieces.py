@@ -224,13 +224,13 @@ optimize_file(*sys.argv[2:])
 
 @pytest.mark.skipif(sys.platform != "linux", reason="a limit that Linux knows")
 def test_a_process_with_too_little_memory_for_the_whole_is_enough_for_the_pieces(tmp_path):
-    start = ball(14_000)
+    start = ball(6000)
     meshio.Mesh(start.points, [("tetra", start.cells)]).write(tmp_path / "whole.vtu")
     write_pieces(tmp_path / "in", start.points, start.cells,
                  bricks(start.points, start.cells, 8))
 
     def run(*words: str) -> subprocess.CompletedProcess[str]:
-        return subprocess.run([sys.executable, "-c", LIMITED, str(46_000_000), *words],
+        return subprocess.run([sys.executable, "-c", LIMITED, str(36_000_000), *words],
                               cwd=tmp_path, capture_output=True, text=True, check=False)
 
     whole = run("whole.vtu", "out.vtu")
