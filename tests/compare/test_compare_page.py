@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 import pytest
 from browser import WIDTH, browse
-from contestants import in_this_process
+from contestants import charts_unwritten, in_this_process
 from measure import bandwidth, blocks, cold, generation, ladder, local_global, small, threads
 from measure.scaling import FILES as SCALING_FILES
 from measure.scaling import PARTS, run_scaling
@@ -102,7 +102,8 @@ def test_every_histogram_has_its_axes(results):
 
 def test_page_tells_paths_as_they_are_and_what_every_tool_was_told(results, tmp_path):
     named = replace(results[0], start=replace(results[0].start, origin="data/small.vtu"))
-    write_all(tmp_path, [named], describe(1, 0), "odt-plugins compare data/small.vtu")
+    with charts_unwritten():
+        write_all(tmp_path, [named], describe(1, 0), "odt-plugins compare data/small.vtu")
     text = html.unescape((tmp_path / FILES[2]).read_text(encoding="utf-8"))
     assert f"data/small.vtu, {len(named.start.points)} vertices" in text
     assert "Data/small" not in text
@@ -145,7 +146,8 @@ def test_page_without_a_result_of_ours_says_so(results, tmp_path):
     solid = results[0]
     failed = [replace(r, status="failed", message="out of luck", measured=None, timing=None)
               if r.contestant == OURS else r for r in solid.rows]
-    write_all(tmp_path, [replace(solid, rows=mark(failed))], describe(1, 0), "again")
+    with charts_unwritten():
+        write_all(tmp_path, [replace(solid, rows=mark(failed))], describe(1, 0), "again")
     text = (tmp_path / FILES[2]).read_text(encoding="utf-8")
     assert "odt-plugins has no result here: failed, out of luck" in text
 
@@ -163,7 +165,8 @@ def test_scaling_report_opens_and_holds_every_part(tmp_path, monkeypatch):
     monkeypatch.setattr(generation, "TRUSS_STEPS", 5)
     monkeypatch.setattr(ladder, "AGAINST", ladder.AGAINST[:1])
     said = []
-    summary = run_scaling(tmp_path, 1000, 1, said.append)
+    with in_this_process():
+        summary = run_scaling(tmp_path, 1000, 1, said.append)
     values = json.loads((tmp_path / SCALING_FILES[0]).read_text())
     assert {"whole call", "smoothing", "finishing"} <= {s["name"] for s in values["stages"]}
     tables = {t["name"]: t for t in values["tables"]}

@@ -8,7 +8,7 @@ import meshio
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from contestants import in_this_process
+from contestants import charts_unwritten, in_this_process
 
 from odt_plugins.adapters.files import read_file, write_arrays
 from odt_plugins.cli.main import cli
@@ -30,6 +30,13 @@ ONCE = Limits(repeats=1)
 def here():
     """No contestant has a process of its own."""
     with in_this_process():
+        yield
+
+
+@pytest.fixture
+def undrawn():
+    """No chart of a page is drawn."""
+    with charts_unwritten():
         yield
 
 
@@ -166,7 +173,7 @@ def test_files_are_measured_and_results_are_kept(tmp_path, monkeypatch):
     assert back.points.tobytes() == moved.tobytes()
 
 
-@pytest.mark.usefixtures("here")
+@pytest.mark.usefixtures("here", "undrawn")
 def test_meshes_and_results_with_the_same_name_are_kept_apart(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for folder, count in (("a", 60), ("b", 80)):
@@ -189,7 +196,7 @@ def test_meshes_and_results_with_the_same_name_are_kept_apart(tmp_path, monkeypa
         read_file(tmp_path / "kept" / "part-b-part.vtu.vtu").points)
 
 
-@pytest.mark.usefixtures("here")
+@pytest.mark.usefixtures("here", "undrawn")
 def test_meshes_whose_files_would_have_one_name_are_kept_apart(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for name, count in (("my part", 60), ("my-part", 80)):
