@@ -8,6 +8,7 @@ import re
 import shutil
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import contract
@@ -15,6 +16,7 @@ import meshio
 import numpy as np
 import pytest
 import surface_meshes as sm
+from pictures import draw_small
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
@@ -23,6 +25,8 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 def here(tmp_path, monkeypatch):
     """An empty working directory, in which only pictures that were asked for may be left."""
     monkeypatch.chdir(tmp_path)
+    if find_spec("matplotlib"):
+        draw_small(monkeypatch)
     yield tmp_path
     assert [p.name for p in tmp_path.iterdir() if p.suffix != ".png"] == []
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pictures import draw_small
 
 pytest.importorskip("matplotlib")
 FOLDER = Path(__file__).parents[2] / "examples" / "paper"
@@ -18,6 +19,7 @@ FOLDER = Path(__file__).parents[2] / "examples" / "paper"
 def script(monkeypatch):
     """Import a script of the folder by name."""
     monkeypatch.syspath_prepend(str(FOLDER))
+    draw_small(monkeypatch)
     yield importlib.import_module
     for path in FOLDER.glob("*.py"):
         sys.modules.pop(path.stem, None)
