@@ -144,6 +144,7 @@ def test_whatever_a_function_returns_is_a_row(tmp_path, monkeypatch, name, statu
     assert len(kept) == 1 + (status == "ok")
 
 
+@pytest.mark.usefixtures("here")
 def test_files_are_measured_and_results_are_kept(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     start = ball(60)
