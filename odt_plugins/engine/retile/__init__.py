@@ -14,6 +14,8 @@ operations, `resize` runs rounds of them.
   vertices between them give way to others in rows (`place_rows`, `lay_in_rows`): most have six
   neighbours then.
 - At last the phases of stage 2 lower F_p with compound moves (`polish`).
+- No new triangle is worse, further from the input, or turned more than allowed, unless one of those
+  in its place is: as they are before their vertices move (`standing`).
 
 A surface in the plane is one with z = 0, where the tracks alone keep the shape. Curved tracks are
 followed so closely there that regions keep their areas (`heights`).

@@ -17,6 +17,7 @@ from odt_plugins.engine.retile.net import (
     is_edge,
     put,
     relative_square,
+    standing,
     third,
 )
 from odt_plugins.engine.retile.tracks import Tracks, on_track, track_is_near
@@ -114,6 +115,10 @@ def _try(
 ) -> bool:
     """Let b become a, at the middle of both or where a is."""
     p, tracks = net.points, rules.tracks
+    old = _leaving(net, a, b, middle, room)
+    if old == 0:
+        return False
+    kept, before = (standing(net, rules, room, old), 0) if middle else (rules, old)
     ax, ay, az = p[a, 0], p[a, 1], p[a, 2]
     foot, place = net.foot[a], net.place[a]
     first = a
@@ -130,8 +135,8 @@ def _try(
         p[a, 0], p[a, 1], p[a, 2], net.foot[a] = x, y, z, face
     ahead = neighbor_on(net, chain, b, a) if chain >= 0 else -1
     if chain < 0 or _line_fits(net, tracks, chain, a, ahead, first == a, middle, b):
-        old, new = _star(net, rules, a, b, middle, room)
-        number = fits(net, rules, room, a, old, new) if new > 0 else -1
+        new = _coming(net, rules, a, b, old, room)
+        number = fits(net, kept, room, a, old, new, before) if new > 0 else -1
         if number >= 0:
             _keep_marks(net, a, b, old, new, room)
             if chain >= 0 and first != a and net.kind[ahead] == LINE:
@@ -171,13 +176,9 @@ def _part_near(
 
 
 @kernel
-def _star(
-    net: Net, rules: Rules, a: int, b: int, middle: bool, room: Room
-) -> tuple[int, int]:
-    """Write the triangles that change into the room, (0, 0) where those to come are no better."""
-    ends = room.exchange
-    old = new = 0
-    before = after = 1.0
+def _leaving(net: Net, a: int, b: int, middle: bool, room: Room) -> int:
+    """Write the triangles that change into the room: how many, 0 where it has no space for them."""
+    old = 0
     for turn in range(2 if middle else 1):
         corner = net.head[b if turn == 0 else a]
         for _ in range(net.chained.shape[0]):
@@ -185,26 +186,35 @@ def _star(
                 break
             t = corner // 3
             corner = net.chained[corner]
-            both = third(net, t, a, b) >= 0
-            if both and turn == 1:
+            if turn == 1 and third(net, t, a, b) >= 0:
                 continue
             if old == ROOM:
-                return 0, 0
-            ends.old[old] = t
+                return 0
+            room.exchange.old[old] = t
             old += 1
-            before = min(before, _shape(net, net.triangles[t]))
-            if both:
-                continue
-            put(net, room, new, t, b, a)
-            for i in range(3):
-                far = ends.new[new, i]
-                if far != a and relative_square(net, a, far) > rules.longest**2:
-                    return 0, 0
-            after = min(after, _shape(net, ends.new[new]))
-            new += 1
-    if after < THIN and after < before:
-        return 0, 0
-    return old, new
+    return old
+
+
+@kernel
+def _coming(net: Net, rules: Rules, a: int, b: int, old: int, room: Room) -> int:
+    """Write what is to come into the room: how many, 0 where that is no better.
+
+    Triangles of a that go are seen with a where it is to be.
+    """
+    new, before, after = 0, 1.0, 1.0
+    for k in range(old):
+        t = room.exchange.old[k]
+        before = min(before, _shape(net, net.triangles[t]))
+        if third(net, t, a, b) >= 0:
+            continue
+        put(net, room, new, t, b, a)
+        for i in range(3):
+            far = room.exchange.new[new, i]
+            if far != a and relative_square(net, a, far) > rules.longest**2:
+                return 0
+        after = min(after, _shape(net, room.exchange.new[new]))
+        new += 1
+    return 0 if after < THIN and after < before else new
 
 
 @kernel

@@ -60,7 +60,7 @@ def _flip(net: Net, rules: Rules, b: int, c: int, power: float, room: Room) -> b
     room.marks[1, 0], room.marks[1, 1] = marks[s, (j + 2) % 3], marks[t, (i + 1) % 3]
     room.marks[1, 2] = -1
     room.labels[0], room.labels[1] = net.labels[t], net.labels[s]
-    number = fits(net, rules, room, a, 2, 2)
+    number = fits(net, rules, room, a, 2, 2, 2)
     if number < 0:
         return False
     exchange(net, room, 2, 2, number)

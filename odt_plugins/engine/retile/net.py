@@ -34,7 +34,6 @@ from odt_plugins.mesh.arrays import ByteArray, FloatArray, IntArray, LongArray
 FOLD = -0.45
 """Cosine of the largest turn at an edge that is made; the judge allows 120 degrees."""
 
-
 TURNED = 1e-6
 """Part by which the cosine of a turn towards the ground may fall where it is small already: that of
 coordinates with seven digits."""
@@ -94,6 +93,8 @@ class Rules(NamedTuple):
                             one, on which the tracks alone keep the shape
     cosine : float          least cosine between the normals of a triangle and of the ground
     bounds : Extremes       what no new triangle may pass, unless one that it replaces does
+    turn : float            least cosine of the turn at an edge on a track, unless one that goes
+                            turns by more than FOLD
     longest : float         edges longer than this multiple of their size are split, and none is
                             made by a collapse
     shortest : float        edges shorter than this multiple of their size collapse
@@ -104,6 +105,7 @@ class Rules(NamedTuple):
     reach: FloatArray
     cosine: float
     bounds: Extremes
+    turn: float
     longest: float
     shortest: float
 
@@ -229,8 +231,16 @@ def put(
 
 
 @kernel
-def fits(net: Net, rules: Rules, room: Room, centre: int, old: int, new: int) -> int:
+def fits(
+    net: Net, rules: Rules, room: Room, centre: int, old: int, new: int, before: int
+) -> int:
     """Ask the guards of the ground about the triangles in the room, at whose vertex they change.
+
+    Parameters
+    ----------
+    old, new : int    triangles that go and that come
+    before : int      those of the old ones that stand as they were, 0 where the rules know what
+                      these had (:func:`standing`)
 
     Returns
     -------
@@ -240,8 +250,8 @@ def fits(net: Net, rules: Rules, room: Room, centre: int, old: int, new: int) ->
     ground, foot, t = rules.ground, net.foot, net.triangles
     found = _extremes(net.points, exchange.new, room.rows, new)
     if not keeps(found, rules.bounds):
-        before = _extremes(net.points, t, exchange.old, old)
-        if not keeps(found, worse(rules.bounds, before)):
+        had = _extremes(net.points, t, exchange.old, before)
+        if not keeps(found, worse(rules.bounds, had)):
             return -1
     reach = np.inf
     for i in range(new):
@@ -253,7 +263,7 @@ def fits(net: Net, rules: Rules, room: Room, centre: int, old: int, new: int) ->
             if not triangle_in_space(net.points, cell[0], cell[1], cell[2])[5] > 0.0:
                 return -1
         return 0
-    if _folded(net, room, old, new) or _turned(net, rules, room, old, new):
+    if _folded(net, rules, room, before, old, new) or _turned(net, rules, room, before, new):
         return -1
     for i in range(new):
         for k in range(3):
@@ -277,12 +287,52 @@ def _turned(net: Net, rules: Rules, room: Room, old: int, new: int) -> bool:
     for i in range(new):
         c = room.exchange.new[i]
         poorest = min(poorest, facing(p, foot, c[0], c[1], c[2], ground, least, 0.0))
+    return poorest < least and poorest < _least_cosine(net, rules, room, old)
+
+
+@kernel
+def _least_cosine(net: Net, rules: Rules, room: Room, old: int) -> float:
+    """Least cosine of `facing` that triangles may have in the place of old ones."""
+    p, foot, ground, least = net.points, net.foot, rules.ground, rules.cosine
     for i in range(old):
-        if poorest >= least:
-            break
         c = net.triangles[room.exchange.old[i]]
         least = min(least, facing(p, foot, c[0], c[1], c[2], ground, least, TURNED) - TURNED)
-    return poorest < least
+    return least
+
+
+@kernel
+def standing(net: Net, rules: Rules, room: Room, old: int) -> Rules:
+    """Rules that allow what the old triangles of the room have before a vertex moves."""
+    had = worse(rules.bounds, _extremes(net.points, net.triangles, room.exchange.old, old))
+    cosine, turn = rules.cosine, rules.turn
+    if rules.reach[net.foot[net.triangles[room.exchange.old[0], 0]]] < np.inf:
+        cosine = _least_cosine(net, rules, room, old)
+        turn = -2.0 if _sharpest(net, room, old) < FOLD else turn
+    return Rules(rules.ground, rules.tracks, rules.reach, cosine, had, turn, rules.longest,
+                 rules.shortest)
+
+
+@kernel
+def _sharpest(net: Net, room: Room, old: int) -> float:
+    """Least cosine of the turn at edges of the old triangles on tracks."""
+    p, least = net.points, 1.0
+    for i in range(old):
+        t = room.exchange.old[i]
+        cell = net.triangles[t]
+        _, _, _, x, y, z = triangle_in_space(p, cell[0], cell[1], cell[2])
+        for k in range(3):
+            if net.marks[t, k] < 0:
+                continue
+            a, b = cell[(k + 1) % 3], cell[(k + 2) % 3]
+            corner = net.head[a]
+            for _ in range(net.chained.shape[0]):
+                if corner < 0:
+                    break
+                s = corner // 3
+                corner = net.chained[corner]
+                if s != t and third(net, s, a, b) >= 0:
+                    least = min(least, _turn(p, x, y, z, net.triangles[s]))
+    return least
 
 
 @kernel
@@ -297,18 +347,21 @@ def _extremes(p: FloatArray, cells: IntArray, rows: IntArray, count: int) -> Ext
 
 
 @kernel
-def _folded(net: Net, room: Room, old: int, new: int) -> bool:
-    """Whether the surface would turn by more than FOLD at an edge of a new triangle on no track."""
+def _folded(net: Net, rules: Rules, room: Room, before: int, old: int, new: int) -> bool:
+    """Whether the surface would turn by more than FOLD at an edge of a new triangle.
+
+    On tracks it may where it does at those of the old ones.
+    """
     rows, gone, p = room.exchange.new, room.exchange.old, net.points
+    sharpest = 1.0
     for i in range(new):
         _, _, _, x, y, z = triangle_in_space(p, rows[i, 0], rows[i, 1], rows[i, 2])
         for k in range(3):
-            if room.marks[i, k] >= 0:
-                continue
+            least = 1.0
             a, b = rows[i, (k + 1) % 3], rows[i, (k + 2) % 3]
             for j in range(i + 1, new):
-                if _has(rows[j], a) and _has(rows[j], b) and _turns(p, x, y, z, rows[j]):
-                    return True
+                if _has(rows[j], a) and _has(rows[j], b):
+                    least = min(least, _turn(p, x, y, z, rows[j]))
             corner = net.head[a]
             for _ in range(net.chained.shape[0]):
                 if corner < 0:
@@ -322,9 +375,13 @@ def _folded(net: Net, room: Room, old: int, new: int) -> bool:
                     if gone[j] == t:
                         stays = False
                         break
-                if stays and _turns(p, x, y, z, net.triangles[t]):
-                    return True
-    return False
+                if stays:
+                    least = min(least, _turn(p, x, y, z, net.triangles[t]))
+            if room.marks[i, k] >= 0:
+                sharpest = min(sharpest, least)
+            elif least < FOLD:
+                return True
+    return sharpest < rules.turn and not _sharpest(net, room, before) < FOLD
 
 
 @kernel
@@ -333,11 +390,11 @@ def _has(cell: IntArray, v: int) -> bool:
 
 
 @kernel
-def _turns(p: FloatArray, x: float, y: float, z: float, cell: IntArray) -> bool:
-    """Whether a triangle turns by more than FOLD from one with the normal (x, y, z)."""
+def _turn(p: FloatArray, x: float, y: float, z: float, cell: IntArray) -> float:
+    """Cosine between (x, y, z) and the normal of a triangle, 1 where one is zero."""
     _, _, _, u, v, w = triangle_in_space(p, cell[0], cell[1], cell[2])
     size = math.sqrt((x * x + y * y + z * z) * (u * u + v * v + w * w))
-    return bool(x * u + y * v + z * w < FOLD * size)
+    return (x * u + y * v + z * w) / size if size > 0.0 else 1.0
 
 
 @kernel

@@ -231,7 +231,7 @@ def _insert(
         put(net, room, i, t, c[i], v)
         room.marks[i, (i + 1) % 3] = -1
         room.marks[i, (i + 2) % 3] = -1
-    number = fits(net, rules, room, v, 1, 3)
+    number = fits(net, rules, room, v, 1, 3, 1)
     if number < 0:
         net.kind[v] = SMOOTH
         return False

@@ -30,7 +30,16 @@ from odt_plugins.engine.ground.sheet import LINE, LOCKED
 from odt_plugins.engine.moves.newton2d import newton_step_2d
 from odt_plugins.engine.moves.tangent import axis_across, set_axes, star_normal
 from odt_plugins.engine.retile.lines import chain_of, neighbor_on
-from odt_plugins.engine.retile.net import Net, Room, Rules, exchange, fits, put, relative_square
+from odt_plugins.engine.retile.net import (
+    Net,
+    Room,
+    Rules,
+    exchange,
+    fits,
+    put,
+    relative_square,
+    standing,
+)
 from odt_plugins.engine.retile.tracks import on_track, track_is_near
 from odt_plugins.mesh.arrays import FloatArray
 
@@ -130,7 +139,7 @@ def _moved(
             return False
     elif _worst(net, count, room) < before:
         return False
-    number = fits(net, rules, room, v, count, count)
+    number = fits(net, rules, room, v, count, count, 0)
     if number >= 0:
         exchange(net, room, count, count, number)
     return number >= 0
@@ -162,12 +171,12 @@ def _polish(net: Net, rules: Rules, v: int, power: float, room: Room) -> bool:
     if not -slope > DECREASE * cost:
         return False
     x, y, z, foot = p[v, 0], p[v, 1], p[v, 2], net.foot[v]
-    step = 1.0
+    step, kept = 1.0, standing(net, rules, room, count)
     for _ in range(HALVINGS):
         _, face, gx, gy, gz = walk(
             x + step * dx, y + step * dy, z + step * dz, foot, rules.ground, False)
         p[v, 0], p[v, 1], p[v, 2], net.foot[v] = gx, gy, gz, face
-        if _moved(net, rules, v, count, power, cost + ARMIJO * step * slope, room):
+        if _moved(net, kept, v, count, power, cost + ARMIJO * step * slope, room):
             return True
         step *= 0.5
     p[v, 0], p[v, 1], p[v, 2], net.foot[v] = x, y, z, foot
@@ -202,11 +211,12 @@ def _shift(net: Net, rules: Rules, v: int, room: Room) -> bool:
     step = 1.0 / weight
     if _seen_step(net, v, dx, dy, dz) < (LITTLE * net.size[v] * weight) ** 2:
         return False
+    kept = standing(net, rules, room, count)
     for _ in range(HALVINGS):
         _, face, gx, gy, gz = walk(
             x + step * dx, y + step * dy, z + step * dz, foot, rules.ground, False)
         p[v, 0], p[v, 1], p[v, 2], net.foot[v] = gx, gy, gz, face
-        if _moved(net, rules, v, count, 0.0, min(before, FINE), room):
+        if _moved(net, kept, v, count, 0.0, min(before, FINE), room):
             return True
         step *= 0.5
     p[v, 0], p[v, 1], p[v, 2], net.foot[v] = x, y, z, foot
@@ -287,7 +297,7 @@ def _slide(net: Net, rules: Rules, v: int, power: float, goal: float, room: Room
     if not abs(target - place) > LITTLE * (
             0.25 * (left + right) if has_metric(p) else net.size[v]):
         return False
-    step = 1.0
+    step, kept = 1.0, standing(net, rules, room, count)
     for _ in range(HALVINGS):
         net.place[v] = place + step * (target - place)
         gx, gy, gz, face = on_track(tracks, chain, net.place[v])
@@ -295,7 +305,7 @@ def _slide(net: Net, rules: Rules, v: int, power: float, goal: float, room: Room
         if (
             track_is_near(tracks, chain, low, net.place[v], p, first, v)
             and track_is_near(tracks, chain, net.place[v], high, p, v, last)
-            and _moved(net, rules, v, count, power, before, room)
+            and _moved(net, kept, v, count, power, before, room)
         ):
             return True
         step *= 0.5

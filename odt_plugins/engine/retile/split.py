@@ -80,7 +80,7 @@ def _split(net: Net, rules: Rules, a: int, b: int, room: Room) -> bool:
                 or not track_is_near(tracks, chain, place, high, p, v, last)
             ):
                 continue
-        number = fits(net, rules, room, v, old, 2 * old)
+        number = fits(net, rules, room, v, old, 2 * old, old)
         if number < 0:
             continue
         net.count[0] += 1

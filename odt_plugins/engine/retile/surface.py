@@ -16,7 +16,7 @@ from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.retile.areas import heights
 from odt_plugins.engine.retile.even import relent_along
 from odt_plugins.engine.retile.grading import fitted
-from odt_plugins.engine.retile.net import Net, Rules, link_all
+from odt_plugins.engine.retile.net import FOLD, Net, Rules, link_all
 from odt_plugins.engine.retile.passes import LONGEST, SHORTEST, Passes, compact
 from odt_plugins.engine.retile.polish import polish
 from odt_plugins.engine.retile.rows import lay_in_rows
@@ -99,7 +99,7 @@ def resize(
     if not base.metric.size:
         sizes, given = fitted(points, triangles, edges.vertices, sizes, features, tracks)
     around = np.full(len(triangles), np.inf) if flat else reach
-    rules = Rules(ground, tracks, around, cosine, bounds, LONGEST, SHORTEST)
+    rules = Rules(ground, tracks, around, cosine, bounds, FOLD, LONGEST, SHORTEST)
     net = _net(base, features, marks, sizes)
     passes = Passes(rules, sizes, base.metric, base.thin, most, given)
     for turn in range(ROUNDS):

@@ -15,7 +15,7 @@ from odt_plugins.promise.good import fallen_since, filled_up
 def layered(tilt):
     """A square with two thin layers along its middle, labelled 1 and 2, in the plane or tilted."""
     x = np.linspace(0.0, 1.0, 17)
-    y = np.concatenate([np.linspace(0.0, 1.0, 17), [1.02, 1.04], np.linspace(1.04, 2.04, 17)[1:]])
+    y = np.concatenate([np.linspace(0.0, 1.0, 17), [1.015, 1.03], np.linspace(1.03, 2.03, 17)[1:]])
     points = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
     i, j = np.meshgrid(np.arange(len(x) - 1), np.arange(len(y) - 1), indexing="ij")
     a = (len(y) * i + j).ravel()
@@ -25,7 +25,7 @@ def layered(tilt):
         np.where(odd[:, None], np.stack([a, b, c], 1), np.stack([a, b, d], 1)),
         np.where(odd[:, None], np.stack([a, c, d], 1), np.stack([b, c, d], 1))]).astype(np.int32)
     middle = points[cells][:, :, 1].mean(axis=1)
-    labels = np.where(middle < 1.0, 0, np.where(middle < 1.02, 1, np.where(middle < 1.04, 2, 3)))
+    labels = np.where(middle < 1.0, 0, np.where(middle < 1.015, 1, np.where(middle < 1.03, 2, 3)))
     if tilt:
         points = points @ np.array([[0.6, 0.0, 0.8], [0.0, 1.0, 0.0]])
     return points, cells, labels
