@@ -77,3 +77,16 @@ def told_of_fallen(mesh: SimplexMesh, found: Outcome, options: Options) -> Outco
     kind = "triangles" if mesh.dim == 2 else "cells"
     note = f"poor {kind} are no more than in the input, and good ones fewer: {'; '.join(fallen)}"
     return replace(found, notes=(note, *found.notes) if fallen else found.notes)
+
+
+def told_of_frozen(
+    mesh: SimplexMesh, held: SimplexMesh, outcome: Outcome, why: str, *, boundary: bool
+) -> Outcome:
+    """An outcome that says how many more cells are frozen, whether the boundary is, and why."""
+    count = int((held.frozen & ~mesh.frozen).sum())
+    if count:
+        note = f"{counted(count, 'cell')} of the input stay as they are, since {why}"
+        outcome = replace(outcome, notes=(*outcome.notes, note))
+    if boundary:
+        outcome = replace(outcome, fallback=f"the boundary is left as it is, since {why}")
+    return outcome

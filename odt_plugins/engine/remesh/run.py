@@ -27,7 +27,12 @@ from odt_plugins.engine.remesh.distance import (
 )
 from odt_plugins.engine.remesh.finish import MORE, Resized, Room, finished, sums
 from odt_plugins.engine.remesh.lay_out import lay_out
-from odt_plugins.engine.remesh.notes import told_of_edges, told_of_fallen, told_of_triangles
+from odt_plugins.engine.remesh.notes import (
+    told_of_edges,
+    told_of_fallen,
+    told_of_frozen,
+    told_of_triangles,
+)
 from odt_plugins.engine.remesh.number import NEAR, ROUGHLY, Goal, factor_towards, goal_of
 from odt_plugins.engine.remesh.onto import on_smooth
 from odt_plugins.engine.remesh.places import allowed_figures, seen_figures
@@ -40,6 +45,7 @@ from odt_plugins.engine.remesh.remedies import (
     most_given_way,
     nearer,
     remedy,
+    told_apart,
 )
 from odt_plugins.engine.remesh.seams import as_sewn, sewn
 from odt_plugins.engine.remesh.sizes import Sizes, local_sizes
@@ -51,10 +57,11 @@ from odt_plugins.engine.remesh.wish import Wish
 from odt_plugins.engine.run.judge import envelope_length
 from odt_plugins.engine.run.outcome import Leaving, Outcome, as_it_is, unchanged
 from odt_plugins.engine.run.work import extremes, make_start
-from odt_plugins.errors import InvalidMeshError, counted
+from odt_plugins.errors import InvalidMeshError
 from odt_plugins.mesh.arrays import FloatArray
 from odt_plugins.mesh.faces import Faces, joined, renumbered, without
 from odt_plugins.mesh.numbering import new_numbers
+from odt_plugins.mesh.seen import NO_METRIC
 from odt_plugins.mesh.simplex import SimplexMesh, diagonal, vertices_of
 from odt_plugins.options import Options
 from odt_plugins.progress import part, silent
@@ -84,6 +91,29 @@ class Coarse(NamedTuple):
     cells: int
 
 
+class Done(NamedTuple):
+    """What an attempt makes of a mesh.
+
+    Attributes
+    ----------
+    outcome : Outcome
+    firm : bool               see :class:`~odt_plugins.engine.remesh.finish.Resized`
+    broken : Broken or None   of the promise, where that is known before the mesh is judged
+    old : Grounds             surfaces of the input, none where these stay
+    length : float            that edges were to have, on average
+    multiple : (n,) float64   of it that was asked for
+    notes : tuple of str
+    """
+
+    outcome: Outcome
+    firm: bool
+    broken: Broken | None = None
+    old: Grounds | None = None
+    length: float = 0.0
+    multiple: FloatArray = NO_METRIC
+    notes: tuple[str, ...] = ()
+
+
 class Course(NamedTuple):
     """What attempts with some sizes begin with.
 
@@ -94,6 +124,8 @@ class Course(NamedTuple):
     made : Made or None         what the first attempt makes of the mesh, where that is known
     brief : bool                whether those within the first share of the envelope are all
     full : int                  see :class:`~odt_plugins.engine.remesh.remedies.Attempt`
+    done : dict or None         what attempts made, by :func:`~.remedies.told_apart`, where they may
+                                be judged anew
     """
 
     room: Room = lambda _: MORE
@@ -101,6 +133,7 @@ class Course(NamedTuple):
     made: Made | None = None
     brief: bool = False
     full: int = 0
+    done: dict[bytes, Done] | None = None
 
 
 def remesh(mesh: SimplexMesh, options: Options, leaving: Leaving, wish: Wish) -> Outcome:
@@ -213,6 +246,10 @@ def _tetrahedra(
     first attempt, or where none kept the promise.
     """
     strict = course.known is None or not course.known.full
+    good = good_enough(tuple(options.keep), 4)
+    fewer = (good and sizes.first(len(mesh.points)).cells < len(mesh.cells)
+             and seen_figures(mesh).small_angles > good["share_below_20"])
+    course = course._replace(done={} if fewer else None)
     found, last = (
         _with_base(mesh, base, sizes, options, leaving, course) if strict
         else (unchanged(mesh, ""), None))
@@ -220,9 +257,7 @@ def _tetrahedra(
     enough = found.origin is not None and (
         last is None or len(found.points) <= HARDLY_COARSER * len(mesh.points)
         or len(found.cells) <= FINER * sizes.cells)
-    good = good_enough(tuple(options.keep), 4)
-    if (enough or not good or sizes.cells >= len(mesh.cells)
-            or seen_figures(mesh).small_angles <= good["share_below_20"]):
+    if enough or not fewer:
         return found, last
     other, then = _tries(mesh, sizes, options, leaving,
                          course._replace(made=None, full=len(mesh.cells)))
@@ -294,15 +329,16 @@ def _tries(
             if following is None:
                 break
             attempt = following
-            outcome, broken = _once(attempt, sizes.values, options, leaving, course.room, made)
+            outcome, broken = _once(attempt, sizes.values, options, leaving, course, made)
             made = None
             if broken is None:
                 if (coarse is not None and known is None and attempt.mesh is coarse.mesh
                         and attempt.sizes is not coarse.sizes):
                     attempt, outcome = _less_fine(attempt, outcome, coarse, lambda other: _once(
-                        other, sizes.values, options, leaving, course.room, None))
-                return (_explained(mesh, attempt, outcome, stays=slides and share == 0.0),
-                        attempt if attempt.why or attempt.full else None)
+                        other, sizes.values, options, leaving, course, None))
+                outcome = told_of_frozen(mesh, attempt.mesh, outcome, attempt.why,
+                                         boundary=slides and share == 0.0)
+                return outcome, attempt if attempt.why or attempt.full else None
             following, falls = remedy(mesh, attempt, outcome, broken, options)
             coarse = Coarse(attempt.mesh, attempt.sizes, len(outcome.cells)) if falls else None
             attempt = attempt._replace(why=broken.why)
@@ -341,49 +377,45 @@ def _first(mesh: SimplexMesh, sizes: Sizes, options: Options) -> Attempt:
     return Attempt(mesh, sizes, np.ones(len(mesh.points)), len(mesh.metric) > 0, share)
 
 
-def _explained(mesh: SimplexMesh, attempt: Attempt, outcome: Outcome, *, stays: bool) -> Outcome:
-    """An outcome that says what was left as it is, and why."""
-    count = int((attempt.mesh.frozen & ~mesh.frozen).sum())
-    if count:
-        note = f"{counted(count, 'cell')} of the input stay as they are, since {attempt.why}"
-        outcome = replace(outcome, notes=(*outcome.notes, note))
-    if stays:
-        outcome = replace(outcome, fallback=f"the boundary is left as it is, since {attempt.why}")
-    return outcome
-
-
 def _once(
-    attempt: Attempt, asked: FloatArray, options: Options, leaving: Leaving, room: Room,
+    attempt: Attempt, asked: FloatArray, options: Options, leaving: Leaving, course: Course,
     made: Made | None,
 ) -> tuple[Outcome, Broken | None]:
     """Resize within a share of the envelope, optimise within the rest, and judge."""
-    clock = time.perf_counter()
-    try:
-        made = made or _resized(attempt, asked, options, partial(
-            part(options.progress or silent, 0.0, 0.4), "resizing"))
-    except InvalidMeshError:
-        why = "cells overlap where the surface folded over itself"
-        return unchanged(attempt.mesh, why), Broken(why)
-    outcome, broken = _completed(attempt, made, options, leaving, room, clock)
-    return outcome, broken and broken._replace(firm=made[0].firm)
+    known = {} if course.done is None else course.done
+    key = told_apart(attempt)
+    done = known.pop(key, None)
+    if done is None:
+        done = _completed(attempt, asked, options, leaving, course.room, made)
+        if course.done is not None and not attempt.full:
+            known[key] = done
+    outcome, broken = _judged(attempt, done, options)
+    return outcome, broken and broken._replace(firm=done.firm)
 
 
 def _completed(
-    attempt: Attempt, made: Made, options: Options, leaving: Leaving, room: Room, clock: float,
-) -> tuple[Outcome, Broken | None]:
-    """Optimise what was resized from a time on within the rest of the envelope, and judge."""
-    mesh, share, (given, log) = attempt.mesh, attempt.share, made
-    report = options.progress or silent
-    resized, envelope = given.outcome, envelope_length(mesh, options)
+    attempt: Attempt, asked: FloatArray, options: Options, leaving: Leaving, room: Room,
+    made: Made | None,
+) -> Done:
+    """Resize, unless that is done, and optimise within the rest of the envelope."""
+    clock, report = time.perf_counter(), options.progress or silent
+    mesh, share = attempt.mesh, attempt.share
+    try:
+        given, log = made or _resized(
+            attempt, asked, options, partial(part(report, 0.0, 0.4), "resizing"))
+    except InvalidMeshError:
+        why = "cells overlap where the surface folded over itself"
+        return Done(unchanged(mesh, why), False, Broken(why))
+    firm, resized, envelope = given.firm, given.outcome, envelope_length(mesh, options)
     onto = mesh.smooth if share > 0.0 else None
-    left = envelope
-    old: Grounds = {}
+    left, old = envelope, None
     if share > 0.0:
         old = grounds_of(mesh)
         far = furthest(old, resized, envelope - mesh.sag)
         left = envelope - max(far[0], far[1]) - mesh.sag
         if not left > 0.0:
-            return resized, too_far(f"the resized surface is {max(far):.3g}", envelope)
+            broken = too_far(f"the resized surface is {max(far):.3g}", envelope)
+            return Done(resized, firm, broken)
     times = {"resizing": time.perf_counter() - clock}
     inner = replace(
         options, boundary="slide" if share > 0.0 else "fixed",
@@ -402,24 +434,30 @@ def _completed(
         inner = replace(inner, boundary="fixed", progress=part(report, 0.8, 1.0))
         given = done._replace(outcome=outcome)
         done, told = finished(mesh, given, inner, leaving, room)
-    outcome = done.outcome
-    outcome = replace(outcome, times=sums(times, outcome.times),
-                      counts=sums(log.counts, outcome.counts))
+    outcome = replace(done.outcome, times=sums(times, done.outcome.times),
+                      counts=sums(log.counts, done.outcome.counts))
     if not told:
-        return outcome, Broken("labels of the surface cannot be told apart")
+        return Done(outcome, firm, Broken("labels of the surface cannot be told apart"))
+    return Done(outcome, firm, None, old, given.lengths.mean() / LONGER, done.multiple, off)
+
+
+def _judged(attempt: Attempt, done: Done, options: Options) -> tuple[Outcome, Broken | None]:
+    """Hold what an attempt made against the promise, and say of it what there is to say."""
+    mesh, slides, outcome, broken = attempt.mesh, attempt.share > 0.0, done.outcome, done.broken
+    if broken is not None:
+        return outcome, broken
     origin: Any = outcome.origin
     others = broken_by_remeshing(
         mesh, outcome.points, outcome.cells, outcome.regions, origin, tuple(options.keep),
-        outcome.metric, outcome.faces, slides=share > 0.0, threads=options.threads,
+        outcome.metric, outcome.faces, slides=slides, threads=options.threads,
         full=attempt.full, figures=partial(outcome.figures, options.threads))
     if others:
         return outcome, Broken(others[0])
-    broken = None
-    if share > 0.0:
-        broken, slid = beyond(mesh, old, outcome, envelope)
+    if done.old is not None:
+        broken, slid = beyond(mesh, done.old, outcome, envelope_length(mesh, options))
         outcome = replace(outcome, slid=slid)
-    notes = told_of_edges(outcome, given.lengths.mean() / LONGER, done.multiple)
-    return replace(outcome, notes=notes + off), broken
+    notes = told_of_edges(outcome, done.length, done.multiple)
+    return replace(outcome, notes=notes + done.notes), broken
 
 
 def _resized(

@@ -170,8 +170,7 @@ def calls(monkeypatch):
 
 def test_bodies_that_cut_each_other_use_less_of_the_envelope(calls):
     mesh = shelled(2e-3, 60)
-    (points, cells), report = odt_plugins.remesh_with_report(
-        mesh, scale=1, envelope=0.01, keep=("p1_quality",))
+    (points, cells), report = odt_plugins.remesh_with_report(mesh, scale=1, envelope=0.01)
     assert report.fallback is None
     assert not any("stay as they are" in note for note in report.notes)
     assert calls[0][0].min() > calls[-1][0].min()
