@@ -85,9 +85,9 @@ class Attempt(NamedTuple):
 def told_apart(attempt: Attempt) -> bytes:
     """Tells attempts of one call apart that make another mesh: a hash."""
     mesh, sizes, parts, relents, share, *_ = attempt
-    digest = sha256(np.array([len(mesh.points), relents, share]))
+    digest = sha256(np.array([len(mesh.points), relents, share]).tobytes())
     for values in (mesh.frozen, sizes.values, parts):
-        digest.update(np.ascontiguousarray(values))
+        digest.update(values.tobytes())
     return digest.digest()
 
 

@@ -127,16 +127,24 @@ def test_sizes_corrected_for_a_number_begin_with_what_kept_the_promise(monkeypat
 
 
 @pytest.mark.parametrize("thin", [0.03, 0.1])
-def test_no_attempt_repeats_the_one_before(monkeypatch, thin):
-    made, real = [], run._resized
+def test_no_attempt_repeats_another(monkeypatch, thin):
+    made, tried, real, once = [], [], run._resized, run._once
 
     def resized(*given):
         found = real(*given)
         made.append(found[0].outcome.cells)
         return found
 
+    def noted(attempt, *more):
+        tried.append(attempt)
+        return once(attempt, *more)
+
     monkeypatch.setattr(run, "_resized", resized)
+    monkeypatch.setattr(run, "_once", noted)
     points, cells = boxes.box(3, 6)
     odt_plugins.remesh((points * [1.0, 1.0, thin], cells), scale=2)
     assert len(made) > 1
     assert not any(map(np.array_equal, made, made[1:]))
+    anew = [attempt for attempt in tried if attempt.full]
+    assert anew
+    assert len(made) == len(tried) - len(anew)
