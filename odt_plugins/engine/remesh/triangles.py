@@ -15,7 +15,7 @@ from odt_plugins.engine.remesh.remedies import (
     nearer,
 )
 from odt_plugins.engine.remesh.sizes import Sizes
-from odt_plugins.engine.retile.run import retile
+from odt_plugins.engine.retile.run import Made, retile
 from odt_plugins.engine.run.outcome import Leaving, Outcome, unchanged
 from odt_plugins.mesh.numbering import new_numbers
 from odt_plugins.mesh.simplex import SimplexMesh
@@ -33,6 +33,7 @@ def resized_triangles(
     """
     wanted: Sizes | None = sizes
     best, why = unchanged(mesh, "no other sizes kept the promise"), None
+    done: dict[bytes, Made] = {}
     if base is not mesh:
         outcome = retile(mesh, sizes.values, options, leaving, crowded(mesh, sizes), base)
         if outcome.origin is not None:
@@ -42,7 +43,8 @@ def resized_triangles(
     for _ in range(ATTEMPTS):
         if wanted is None:
             break
-        outcome = retile(mesh, wanted.values, options, leaving, crowded(mesh, wanted))
+        outcome = retile(
+            mesh, wanted.values, options, leaving, crowded(mesh, wanted), done=done)
         if why is None and outcome.fallback is None:
             return outcome
         if why is None or (outcome.origin is not None and (
@@ -59,20 +61,23 @@ def resized_triangles(
     if sizes.cells < len(mesh.cells) and (
             _stays(mesh, best) > MOST_HELD
             or len(best.points) > HARDLY_COARSER * len(mesh.points)):
-        found = _where_good_ones_go(mesh, sizes, options, leaving)
+        found = _where_good_ones_go(mesh, sizes, options, leaving, done)
         if found is not None and len(found.points) < len(best.points):
             return found
     return best
 
 
 def _where_good_ones_go(
-    mesh: SimplexMesh, sizes: Sizes, options: Options, leaving: Leaving
+    mesh: SimplexMesh, sizes: Sizes, options: Options, leaving: Leaving, done: dict[bytes, Made],
 ) -> Outcome | None:
-    """Resize triangles so that poor ones are no more, though a larger part; None if that fails."""
+    """Resize triangles so that poor ones are no more, though a larger part; None if that fails.
+
+    ``done`` is what was made of the mesh so far.
+    """
     if not good_enough(tuple(options.keep), 3):
         return None
     found = retile(mesh, sizes.values, options, leaving, crowded(mesh, sizes), mesh,
-                   len(mesh.cells))
+                   len(mesh.cells), done)
     return None if found.origin is None else told_of_fallen(mesh, found, options)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import replace
+from hashlib import sha256
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -69,9 +70,18 @@ class Judged(NamedTuple):
     unlike: BoolArray
 
 
+class Made(NamedTuple):
+    """What is to be judged, the vertices of the input that it has, and its slots of triangles."""
+
+    outcome: Outcome
+    origin: LongArray
+    slots: int
+
+
 def retile(
     mesh: SimplexMesh, sizes: FloatArray, options: Options, leaving: Leaving,
     most: float = math.inf, base: SimplexMesh | None = None, full: int = 0,
+    done: dict[bytes, Made] | None = None,
 ) -> Outcome:
     """Give triangles in the plane or in space other sizes.
 
@@ -86,6 +96,7 @@ def retile(
                              triangles of it stay, the input is returned instead
     full : int               triangles to which they are filled up by good ones where figures are
                              looked at, see ``promise.good.filled_up``
+    done : dict              what was made of the mesh so far, which is judged anew; grows
 
     Returns
     -------
@@ -101,32 +112,19 @@ def retile(
     old = make_reference(in_space(base.points), base.cells)
     bounds = _bounds(mesh, tuple(options.keep))
     before: list[str] = []
-    made = 0
+    done, made = {} if done is None else done, 0
     report = options.progress or silent
     for attempt in range(ATTEMPTS):
         report("resizing", attempt / ATTEMPTS)
-        start = surface_start(held)
-        frame = start.frame
-        reach = POLICY.surface_guard * (length - mesh.sag) * frame.scale * part[frame.active]
-        unit = 1.0 if len(mesh.metric) else frame.scale
-        net, marks = resize(_base(start, options), sizes[frame.vertices] * unit, reach, bounds,
-                     feature_angle=options.feature_angle, most=most)
-        n, m = net.count[0], net.count[1]
-        points = np.ascontiguousarray(net.points[:n, _columns(mesh)])
-        cells, labels = net.triangles[:m].copy(), net.labels[:m].copy()
-        state = State(points, cells, labels, figures(points, cells), "resized")
-        placed = start.placed(state)
-        if placed.origin is None:
-            placed = replace(placed, origin=np.arange(len(placed.points)))
-        origin: Any = placed.origin
-        faces = _lines_of(held, start, marks, net, origin), mesh.faces[1]
-        origin = np.where(origin < len(mesh.points), origin, -1)
-        outcome = leaving(replace(placed, origin=origin, faces=faces))
+        key = sha256(b"".join(map(np.ndarray.tobytes, (sizes, part, held.frozen)))).digest()
+        if key not in done:
+            done[key] = _resized(mesh, held, sizes, part, bounds, options, leaving, most)
+        outcome, origin, slots = done[key]
         judged = _judged(mesh, outcome, origin, length, options, full)
         if not judged.broken:
             return _told(outcome, origin, judged, before, clock)
         before = before or judged.broken
-        made += len(net.triangles)
+        made += slots
         if not (len(judged.bad) or judged.unlike.any()) or made > most:
             break
         near = np.zeros(len(base.points), dtype=np.bool_)
@@ -152,6 +150,30 @@ def retile(
     report("finishing", 1.0)
     outcome = leaving(unchanged(mesh, "no other sizes kept the promise"))
     return replace(outcome, fallback=f"the input is returned, since {'; '.join(before)}")
+
+
+def _resized(
+    mesh: SimplexMesh, held: SimplexMesh, sizes: FloatArray, part: FloatArray, bounds: Extremes,
+    options: Options, leaving: Leaving, most: float,
+) -> Made:
+    """What other sizes make of triangles within a part (m,) of the envelope around each."""
+    start = surface_start(held)
+    frame, length = start.frame, options.envelope * mesh.extent
+    reach = POLICY.surface_guard * (length - mesh.sag) * frame.scale * part[frame.active]
+    unit = 1.0 if len(mesh.metric) else frame.scale
+    net, marks = resize(_base(start, options), sizes[frame.vertices] * unit, reach, bounds,
+                        feature_angle=options.feature_angle, most=most)
+    n, m = net.count[0], net.count[1]
+    points = np.ascontiguousarray(net.points[:n, _columns(mesh)])
+    cells, labels = net.triangles[:m].copy(), net.labels[:m].copy()
+    state = State(points, cells, labels, figures(points, cells), "resized")
+    placed = start.placed(state)
+    if placed.origin is None:
+        placed = replace(placed, origin=np.arange(len(placed.points)))
+    origin: Any = placed.origin
+    faces = _lines_of(held, start, marks, net, origin), mesh.faces[1]
+    origin = np.where(origin < len(mesh.points), origin, -1)
+    return Made(leaving(replace(placed, origin=origin, faces=faces)), origin, len(net.triangles))
 
 
 def _poor(mesh: SimplexMesh) -> BoolArray:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import odt_plugins
+from odt_plugins.engine.retile import run
 from odt_plugins.figures import summarize
 from odt_plugins.mesh.simplex import simplex_mesh
 from odt_plugins.options import KEPT
@@ -61,6 +62,19 @@ def test_a_mesh_with_thin_layers_becomes_coarser(wish, tilt):
     for label in range(4):
         assert area(new, rows[parts == label]) == pytest.approx(
             area(points, cells[labels == label]), rel=1e-9)
+
+
+def test_nothing_is_resized_twice(monkeypatch):
+    given, resize = [], run.resize
+
+    def noted(base, sizes, reach, *more, **options):
+        given.append(b"".join(a.tobytes() for a in (base.triangles, base.fixed, sizes, reach)))
+        return resize(base, sizes, reach, *more, **options)
+
+    monkeypatch.setattr(run, "resize", noted)
+    _, report = odt_plugins.remesh_with_report(layered(tilt=False), scale=2.0, free="layers")
+    assert any("good ones fewer: " in note for note in report.notes)
+    assert len(set(given)) == len(given) > 1
 
 
 def test_figures_that_are_named_do_not_fall_beside_thin_layers():
