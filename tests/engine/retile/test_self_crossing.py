@@ -55,9 +55,9 @@ def test_crossings_are_new_where_there_were_none():
 def test_other_sizes_are_tried_only_where_much_of_the_input_stays(much, monkeypatch):
     whole, calls = remesh_triangles.retile, []
 
-    def told(mesh, *how):
+    def told(mesh, *how, **more):
         calls.append(mesh)
-        done = leaving_it(mesh) if much else whole(mesh, *how)
+        done = leaving_it(mesh) if much else whole(mesh, *how, **more)
         return replace(done, fallback="some places stay as they were, since something broke")
 
     def leaving_it(mesh):
