@@ -238,7 +238,12 @@ def _run(mesh: Any, size: Any, wishes: dict[str, Any], options: Options) -> tupl
     def engine(simplices: SimplexMesh, chosen: Options, leaving: Leaving) -> Outcome:
         from odt_plugins.engine.remesh.run import remesh as resized
 
-        return resized(_with_still_walls(simplices), chosen, leaving, wish)
+        outcome = resized(_with_still_walls(simplices), chosen, leaving, wish)
+        if not simplices.is_surface or simplices.frozen.all():
+            return outcome
+        from odt_plugins.engine.retile.run import with_kept
+
+        return with_kept(simplices, outcome, chosen)
 
     wanted = Wanted(linear=True, sizes=name, growth=wish.growth,
                     refused=(*NOT_SIZED, "free='inside'"))

@@ -13,7 +13,9 @@ import numpy as np
 from odt_plugins.engine.cells.extremes import Extremes
 from odt_plugins.engine.ground.crossings import crossed_facets
 from odt_plugins.engine.ground.envelope import distances, uncovered, within
+from odt_plugins.engine.ground.features import find_features
 from odt_plugins.engine.ground.reference import make_reference
+from odt_plugins.engine.ground.sheet import LINE, LOCKED
 from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.record.figures import cell_shapes, figures
 from odt_plugins.engine.record.memory import State
@@ -23,9 +25,15 @@ from odt_plugins.engine.retile.net import Net
 from odt_plugins.engine.retile.surface import Base, resize
 from odt_plugins.engine.run.outcome import Leaving, Outcome, unchanged
 from odt_plugins.engine.run.work import extremes
-from odt_plugins.engine.surface.driver import SurfaceStart, surface_start
+from odt_plugins.engine.surface.driver import (
+    SurfaceOutcome,
+    SurfaceStart,
+    surface_outcome,
+    surface_start,
+)
 from odt_plugins.engine.surface.in_plane import IN_PLANE, in_space, metric_in_space
-from odt_plugins.engine.surface.judge import TOLERANCE, Distance
+from odt_plugins.engine.surface.judge import TOLERANCE, Distance, Kept
+from odt_plugins.engine.topology.star import vertex_stars
 from odt_plugins.errors import counted
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray, LongArray
 from odt_plugins.mesh.faces import Faces, joined, labels_at, renumbered, without
@@ -210,9 +218,28 @@ def _told(
     why = None
     if before:
         why = f"some places stay nearer to the input or as they were, since {'; '.join(before)}"
+    outcome = SurfaceOutcome(**vars(outcome), distance=judged.distance)
     return replace(outcome, origin=origin, times={"resizing": time.perf_counter() - clock},
                    stop_reason="edges are as long as the envelope and the features allow",
                    fallback=why)
+
+
+def with_kept(mesh: SimplexMesh, outcome: Outcome, options: Options) -> SurfaceOutcome:
+    """An outcome of a curved surface with what was kept of it while it was given other sizes."""
+    start = surface_start(mesh)
+    base, vertices = _base(start, options), start.frame.vertices
+    features = find_features(
+        base.points, base.triangles, base.edges, vertex_stars(base.triangles, len(base.points)),
+        angle=options.feature_angle, fixed=base.fixed, kept=base.kept, slack=math.inf,
+    )
+    on_line = (features.kind == LINE) & (options.boundary == "slide")
+    locked = np.ones(len(mesh.points), dtype=np.bool_)
+    locked[vertices] = (features.kind == LOCKED) | ((features.kind == LINE) & ~on_line)
+    kept = Kept(mesh.extent, options.envelope * mesh.extent,
+                vertices[base.edges.vertices[features.edges]], locked, features.corners,
+                int(on_line.sum()))
+    distance = getattr(outcome, "distance", None) or Distance(0.0, 0.0)
+    return surface_outcome(outcome, kept, distance)
 
 
 def _bounds(mesh: SimplexMesh, keep: tuple[str, ...]) -> Extremes:

@@ -303,7 +303,7 @@ def surface_sizes(mesh: SimplexMesh, options: Options) -> FloatArray:
 
 def surface_outcome(outcome: Outcome, kept: Kept, distance: Distance) -> SurfaceOutcome:
     """The outcome of a surface, with what was kept of it and how far it moved."""
-    return SurfaceOutcome(**vars(outcome), kept=kept, distance=distance)
+    return SurfaceOutcome(**vars(outcome) | {"kept": kept, "distance": distance})
 
 
 def surface_start(mesh: SimplexMesh) -> SurfaceStart:
