@@ -12,6 +12,7 @@ from odt_plugins.engine.ground.crossings import crossed_facets
 from odt_plugins.engine.run import plan
 from odt_plugins.engine.run.outcome import Leaving, Outcome, unchanged
 from odt_plugins.engine.surface.driver import run_surface
+from odt_plugins.engine.surface.rounds import check_method
 from odt_plugins.mesh.arrays import FloatArray
 from odt_plugins.mesh.simplex import SimplexMesh, with_same_cells
 from odt_plugins.options import Options
@@ -43,7 +44,12 @@ def run_in_plane(mesh: SimplexMesh, options: Options, leaving: Leaving) -> Outco
     -------
     Outcome               triangles of positive area whose rims do not cross, in regions of the same
                           areas (0.3 %), at worst the input
+
+    Raises
+    ------
+    InvalidOptionError    a method or solver that is not for rims that slide
     """
+    check_method(options, "with boundary='slide' in the plane", ", or boundary='fixed'")
     held, whys = mesh, list[str]()
     for everywhere in (False, True):
         outcome = _slid(held, options, leaving)

@@ -42,8 +42,10 @@ LEAST_PULL = 1e-12
 """Part of the mean diagonal of A by which every vertex is held where it is."""
 
 
-def check_method(options: Options) -> None:
-    """Refuse what there is in the plane and in space only.
+def check_method(
+    options: Options, where: str = "for a curved surface", hint: str = ""
+) -> None:
+    """Refuse what a surface, which is what the error says it is ``where``, does not know.
 
     Raises
     ------
@@ -55,8 +57,8 @@ def check_method(options: Options) -> None:
                                ("solver", options.smoothing.solver, solvers),
                                ("connectivity", options.smoothing.connectivity, CONNECTIVITY)):
         if value not in known:
-            where, given = worded(name, value)
-            msg = f"got {where}={given!r} for a curved surface; expected one of {known} there"
+            option, given = worded(name, value)
+            msg = f"got {option}={given!r} {where}; expected one of {known} there{hint}"
             raise InvalidOptionError(msg)
 
 

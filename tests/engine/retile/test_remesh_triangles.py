@@ -12,6 +12,7 @@ import odt_plugins
 import odt_plugins.engine.retile.grading as grading
 import odt_plugins.engine.retile.run as retile_run
 import odt_plugins.engine.retile.surface as retile_surface
+from odt_plugins.errors import InvalidOptionError
 from odt_plugins.generate import clouds
 
 
@@ -44,6 +45,12 @@ def test_rims_in_the_plane_slide_along_themselves():
     assert area(points, cells) == pytest.approx(4.0, rel=1e-12)
     fixed = odt_plugins.quality(odt_plugins.optimize(mesh))
     assert odt_plugins.quality((points, cells)).min_quality > fixed.min_quality
+
+
+def test_methods_that_rims_do_not_know_are_refused_by_what_they_are_for():
+    expected = r"got method='cvt' with boundary='slide' in the plane; .* or boundary='fixed'"
+    with pytest.raises(InvalidOptionError, match=expected):
+        odt_plugins.optimize(shaken_square(), boundary="slide", method="cvt")
 
 
 @pytest.mark.parametrize("part", [0.1, 0.2])
