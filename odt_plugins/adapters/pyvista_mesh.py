@@ -40,6 +40,13 @@ from odt_plugins.adapters.host import (
 )
 from odt_plugins.adapters.lengths import check_arrays_of_vtk
 from odt_plugins.adapters.normals import NORMALS, are_normals, renewed
+from odt_plugins.adapters.polydata_cells import (
+    are_vertices,
+    segments_of,
+    sizes_and_starts,
+    with_middles,
+    with_numbers,
+)
 from odt_plugins.adapters.regions import region_labels
 from odt_plugins.adapters.vtk_files import as_before, put_array
 from odt_plugins.adapters.wedges import slid
@@ -415,7 +422,7 @@ def _read_polydata(mesh: Any) -> tuple[IndexArray, IndexArray, tuple[KeptCells, 
         msg = f"got PolyData with {found}; expected triangles only, try mesh.triangulate()"
         raise UnsupportedMeshError(msg)
     faces = np.asarray(mesh.faces)
-    size, start = _sizes(faces)
+    size, start = sizes_and_starts(faces)
     which = np.flatnonzero(size == 3)
     if not len(which) and mesh.n_cells:
         vertices, lines = counted(mesh.n_verts, "vertex cell"), counted(mesh.n_lines, "line cell")
@@ -426,7 +433,7 @@ def _read_polydata(mesh: Any) -> tuple[IndexArray, IndexArray, tuple[KeptCells, 
         raise UnsupportedMeshError(msg)
     kept: tuple[KeptCells, ...] = ()
     if mesh.n_lines:
-        rows, parts = _segments(np.asarray(mesh.lines))
+        rows, parts = segments_of(np.asarray(mesh.lines))
         lines = mesh.n_verts + np.arange(mesh.n_lines)
         known = _known(mesh, lines, None if len(rows) == len(lines) else parts)
         kept = tuple(part for part, _ in each_once(KeptCells("line", rows, *known)))
@@ -438,23 +445,7 @@ def _read_polydata(mesh: Any) -> tuple[IndexArray, IndexArray, tuple[KeptCells, 
 
 def has_triangles(mesh: Any) -> bool:
     """Say whether some of the faces of PolyData are triangles."""
-    return 3 in _sizes(np.asarray(mesh.faces))[0]
-
-
-def _sizes(cells: IndexArray) -> tuple[IndexArray, IndexArray]:
-    """Numbers of vertices of cells stored as count, indices, ..., and where these begin."""
-    heads = np.flatnonzero(~are_vertices(cells))
-    return cells[heads].astype(np.int64), heads + 1
-
-
-def _segments(lines: IndexArray) -> tuple[IndexArray, IndexArray]:
-    """Segments (q, 2) of poly-lines stored as count, indices, ..., and how many each has."""
-    rows, at = [], 0
-    while at < len(lines):
-        chain = lines[at + 1 : at + 1 + lines[at]]
-        rows.append(np.stack([chain[:-1], chain[1:]], axis=1))
-        at += 1 + int(lines[at])
-    return np.concatenate(rows), np.array([len(part) for part in rows])
+    return 3 in sizes_and_starts(np.asarray(mesh.faces))[0]
 
 
 def _write_polydata(out: Any, result: Result, host: HostMesh) -> IndexArray:
@@ -464,17 +455,19 @@ def _write_polydata(out: Any, result: Result, host: HostMesh) -> IndexArray:
     beside = np.arange(first)
     if result.vertices is not None and result.vertices.renumbered:
         number = result.vertices.number
-        faces = _with_numbers(faces, number)
+        faces = with_numbers(faces, number)
         if source.n_verts:
-            out.verts = _with_numbers(np.asarray(source.verts), number)
+            out.verts = with_numbers(np.asarray(source.verts), number)
         which = np.arange(source.n_verts, first)
-        if any_became_others(result, host, which):
+        if result.split is not None and source.n_lines:
+            out.lines = with_middles(np.asarray(source.lines), result.split)
+        elif any_became_others(result, host, which):
             lines = faces_now(result, host, which, np.asarray(source.lines).reshape(-1, 3)[:, 1:])
             out.lines = np.insert(lines.rows, 0, 2, axis=1).ravel()
             beside = np.append(np.arange(source.n_verts), which[lines.source])
         elif source.n_lines:
-            out.lines = _with_numbers(np.asarray(source.lines), number)
-    size, start = _sizes(faces)
+            out.lines = with_numbers(np.asarray(source.lines), number)
+    size, start = sizes_and_starts(faces)
     rest = np.flatnonzero(size != 3)
     count = np.full((len(result.cells), 1), 3, dtype=result.cells.dtype)
     pool = np.append(np.concatenate([count, result.cells], axis=1), faces)
@@ -484,27 +477,6 @@ def _write_polydata(out: Any, result: Result, host: HostMesh) -> IndexArray:
     order = np.argsort(rows, kind="stable")
     out.faces = pool[_positions(begin[order], size[order])]
     return np.concatenate([beside, rows[order]])
-
-
-def _with_numbers(cells: IndexArray, number: NDArray[np.int64]) -> IndexArray:
-    """Cells as count, indices, count, indices, ... of vertices with other numbers."""
-    out, inside = cells.copy(), are_vertices(cells)
-    out[inside] = number[cells[inside]]
-    return out
-
-
-def are_vertices(cells: IndexArray) -> NDArray[np.bool_]:
-    """Which of count, indices, count, indices, ... are indices."""
-    out, at = np.ones(len(cells), dtype=np.bool_), 0
-    if len(cells):
-        every = int(cells[0]) + 1
-        if len(cells) % every == 0 and (cells[::every] == every - 1).all():
-            out[::every] = False
-            return out
-    while at < len(cells):
-        out[at] = False
-        at += 1 + int(cells[at])
-    return out
 
 
 def _carry_cell_data(

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from odt_plugins.adapters import pyvista_mesh
 from odt_plugins.adapters.host import HostMesh, Result, is_instance
+from odt_plugins.adapters.polydata_cells import are_vertices
 from odt_plugins.adapters.vtk_files import as_numpy
 
 ACTIVE = {"active_scalars_name": "Scalars", "active_vectors_name": "Vectors",
@@ -160,7 +161,7 @@ class Arrays:
 
 
 def _cell_array(values: NDArray[Any]) -> Any:
-    inside = pyvista_mesh.are_vertices(values)
+    inside = are_vertices(values)
     return pyvista_mesh.cell_array(values[~inside], values[inside])
 
 

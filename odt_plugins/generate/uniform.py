@@ -18,7 +18,6 @@ from odt_plugins.adapters.host import (
     NewVertices,
     Result,
     as_indices,
-    is_instance,
 )
 from odt_plugins.adapters.point_sets import depths
 from odt_plugins.adapters.registry import find_adapter
@@ -40,7 +39,7 @@ def uniform_refine(mesh: MeshT) -> MeshT:
 
     Parameters
     ----------
-    mesh : (points, cells) or (points, cells, regions) arrays, pyvista.UnstructuredGrid,
+    mesh : (points, cells) or (points, cells, regions) arrays, pyvista.UnstructuredGrid or PolyData,
         meshio.Mesh, or the path of a mesh file, of linear triangles or tetrahedra
 
     Returns
@@ -51,7 +50,8 @@ def uniform_refine(mesh: MeshT) -> MeshT:
         it, with its data and labels, and so do those of vertices, lines and boundary triangles
         beside the cells. Point data that are floating-point numbers are interpolated, others are
         those of the lower end, but markers of the boundary, or of a side of it, mark no mid-points
-        beside or inside; a mid-point is in a point set when both ends are.
+        beside or inside; a mid-point is in a point set when both ends are. Lines of PolyData stay
+        single ones, with the mid-points on them.
 
     Raises
     ------
@@ -104,7 +104,7 @@ def uniform_refine(mesh: MeshT) -> MeshT:
         depths=both,
     )
     result = Result(
-        points, as_indices(refined.cells, host.cells), source,
+        points, as_indices(refined.cells, host.cells), source, p.shape[1] == t.shape[1],
         vertices=vertices, split=partial(refined_rows, edges=refined.edges, n=n),
     )
     return adapter.write(result, host)
@@ -113,11 +113,10 @@ def uniform_refine(mesh: MeshT) -> MeshT:
 def read_linear(mesh: Any) -> tuple[Adapter, HostMesh]:
     """Read a mesh of linear triangles or tetrahedra; others are refused."""
     adapter = find_adapter(mesh)
-    known = adapter in ADAPTERS and not is_instance(mesh, "pyvista", "PolyData")
-    if not known:
+    if adapter not in ADAPTERS:
         kind = type(mesh)
         msg = (f"got an object of type {kind.__module__}.{kind.__qualname__}; expected arrays, a "
-               f"pyvista.UnstructuredGrid, a meshio.Mesh or a path, try (points, cells) as arrays")
+               "pyvista grid or PolyData, a meshio.Mesh or a path, try (points, cells) as arrays")
         raise UnsupportedMeshError(msg)
     host = adapter.read(mesh)
     if host.higher_order:

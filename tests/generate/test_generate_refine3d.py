@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import pyvista
 import surface_meshes
+import trimesh
 from hypothesis import given, settings
 from strategies import SEEDS, meshes, positive
 from tet_meshes import grid
@@ -253,8 +254,8 @@ def test_what_cannot_be_refined_is_refused_with_one_sentence(monkeypatch):
     with pytest.raises(UnsupportedMeshError, match="quad cells beside"):
         generate.uniform_refine(
             meshio.Mesh(points, [("tetra", cells), ("quad", np.array([[0, 1, 4, 3]]))]))
-    with pytest.raises(UnsupportedMeshError, match="PolyData; expected arrays"):
-        generate.uniform_refine(pyvista.Sphere())
+    with pytest.raises(UnsupportedMeshError, match="Trimesh; expected arrays"):
+        generate.uniform_refine(trimesh.creation.box())
     strange = pyvista.UnstructuredGrid(
         np.concatenate([np.insert(cells, 0, 4, axis=1).ravel(), [2, 0, 1]]),
         [10] * len(cells) + [2], points)
@@ -263,6 +264,37 @@ def test_what_cannot_be_refined_is_refused_with_one_sentence(monkeypatch):
     monkeypatch.setattr(refine3d, "MOST_CELLS", 100)
     with pytest.raises(InvalidMeshError, match=r"1 level of refinement would make 384 tetrahedra"):
         generate.uniform_refine((points, cells))
+
+
+def test_polydata_stays_polydata_with_its_lines_and_vertices():
+    sphere = pyvista.Sphere(theta_resolution=6, phi_resolution=6)
+    faces = sphere.regular_faces
+    mesh = pyvista.PolyData(sphere.points, faces=sphere.faces)
+    mesh.lines = np.array([2, *faces[0, :2], 3, *faces[5], 1, 7])
+    mesh.verts = np.array([1, 3])
+    mesh["height"] = mesh.points[:, 2]
+    mesh["Normals"] = sphere.point_normals
+    mesh.cell_data["number"] = np.arange(mesh.n_cells)
+    found = odt_plugins.refine(mesh, levels=1, optimize=False)
+    assert type(found) is pyvista.PolyData
+    assert found.is_manifold
+    assert found.n_open_edges == 0
+    points, n = np.asarray(found.points), mesh.n_points
+    middles = 0.5 * (mesh.points[faces] + mesh.points[np.roll(faces, -1, axis=1)])
+    lines = np.asarray(found.lines)
+    assert lines[[0, 1, 3, 4, 5, 7, 9]].tolist() == [3, *faces[0, :2], 5, *faces[5]]
+    assert np.allclose(points[lines[2]], middles[0, 0])
+    assert np.allclose(points[lines[[6, 8]]], middles[5, :2])
+    assert lines[10:].tolist() == [1, 7]
+    assert found.verts.tolist() == [1, 3]
+    assert np.allclose(found["height"], points[:, 2])
+    assert np.array_equal(points[:n], mesh.points)
+    assert np.allclose((found["Normals"] ** 2).sum(axis=1), 1.0)
+    assert found.cell_data["number"].tolist() == [
+        0, 1, 2, 3, *np.repeat(4 + np.arange(len(faces)), 4)]
+    mesh.lines = [2, 0, 1, 2, 3, n - 1]
+    with pytest.raises(InvalidMeshError, match="with an edge that no refined cell has"):
+        odt_plugins.refine(mesh, optimize=False)
 
 
 def test_refinement_alone_is_as_often_as_asked_and_takes_no_options():
