@@ -393,7 +393,8 @@ def _parameters(
     if not (width and len(places)):
         return np.zeros((len(places), width))
     out = np.full((len(places), width), np.nan)
-    out[origin >= 0] = part.parameters[origin[origin >= 0]]
+    if len(part.tags):
+        out[origin >= 0] = part.parameters[origin[origin >= 0]]
     anew = np.isnan(out).any(axis=1)
     if anew.any():
         # The parameters that getClosestPoint gives on curves are no numbers of theirs.

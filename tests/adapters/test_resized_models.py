@@ -134,6 +134,23 @@ def test_gmsh_finds_its_groups_on_the_geometry(make, scale, tmp_path):
         assert [len(elements(gmsh.model, d)[0]) for d in range(1, dim + 1)] == after[1:]
 
 
+def test_faces_of_gmsh_without_nodes_of_their_own_are_refined():
+    with session() as gmsh:
+        model = gmsh.model
+        model.occ.fragment([(2, model.occ.addRectangle(0, 0, 0.5, 1, 1))],
+                           [(2, model.occ.addDisk(1, 0.5, 0.5, 0.2, 0.2))])
+        model.occ.synchronize()
+        gmsh.option.setNumber("Mesh.MeshSizeMin", 0.25)
+        model.mesh.generate(2)
+        bare = [entity for entity in model.getEntities(2)
+                if not len(model.mesh.getNodes(*entity)[0])]
+        assert bare
+        odt_plugins.remesh(model, scale=0.6)
+        assert all(len(model.mesh.getNodes(*entity)[0]) for entity in bare)
+        assert off_the_geometry(model) < 1e-9
+        expect_sound(model, 2)
+
+
 def test_a_discrete_model_of_a_file_keeps_its_groups(tmp_path):
     with session() as gmsh:
         two_solids(gmsh.model)
