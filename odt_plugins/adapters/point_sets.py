@@ -59,7 +59,7 @@ def with_added(
     placed, near = vertices.placed[new], vertices.corners[new]
     shape, corners = host.shape, host.cells.shape[1]
     cells = np.asarray(host.cells if host.nodes is None else host.nodes, dtype=np.int64)
-    walls = walls_of(cells, host.regions, n, shape)
+    walls, outer = _walls(cells, host.regions, n, shape)
     joins: NDArray[np.bool_] = np.zeros(len(placed), dtype=np.bool_)
     whole = whole_cells(members, cells, walls, n, shape)
     if len(whole):
@@ -67,7 +67,11 @@ def with_added(
         joins = np.asarray((inside[near] | ~away).all(axis=1) & away.any(axis=1))
         sheet = walls_of(whole, None, n, shape)
     else:
-        sheet = walls[inside[walls].all(axis=1)]
+        chosen: NDArray[np.bool_] = np.asarray(inside[walls].all(axis=1))
+        # Facets of an interface may have all their points on the boundary.
+        if not chosen[~outer].all() and np.isin(members, walls[chosen & outer]).all():
+            chosen &= outer
+        sheet = walls[chosen]
         if not _filled(sheet, members, n):
             return number
     of_cells = None if host.regions is None else host.regions[result.source]

@@ -54,6 +54,21 @@ def test_sets_of_curved_surfaces_and_of_volumes_have_the_new_vertices(dim, n):
         np.testing.assert_array_equal(np.sort(after.point_sets[name]), members, err_msg=name)
 
 
+def test_a_set_of_the_boundary_has_no_new_vertices_inside_an_interface_that_ends_there():
+    points, cells = boxes.box(3, 6)
+    right = points[cells].mean(axis=1)[:, 0] > 0.5
+    between = np.intersect1d(cells[right], cells[~right])
+    skin = np.unique(walls(cells))
+    mesh = meshio.Mesh(points, [("tetra", cells)], cell_data={"material": [right.astype(int)]},
+                       point_sets={"skin": skin, "both": np.union1d(skin, between)})
+    after = remesh(mesh, scale=0.7)
+    new, right = after.cells[0].data, after.cell_data["material"][0] == 1
+    skin = np.unique(walls(new))
+    np.testing.assert_array_equal(np.sort(after.point_sets["skin"]), skin)
+    both = np.union1d(skin, np.intersect1d(new[right], new[~right]))
+    np.testing.assert_array_equal(np.sort(after.point_sets["both"]), both)
+
+
 @pytest.mark.parametrize("quadratic", [False, True])
 @pytest.mark.parametrize("scale", [0.6, 1.7])
 def test_sets_of_sides_are_resized_and_have_the_nodes_of_their_sides(scale, quadratic):
