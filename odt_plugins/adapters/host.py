@@ -254,7 +254,8 @@ class NewVertices(NamedTuple):
         linearly, of anything else the value of the nearest corner is taken. Where all vertices
         inside had one value, as markers of the boundary have, those that come inside have it too,
         and others that of a corner as far inside as they are, if there is one; where two are as
-        near, that of one without a marker, 0. Those whose integrals stay are there already.
+        near, that of one without a marker, 0, and so where all corners are less far inside, or the
+        vertex is on a crease. Those whose integrals stay are there already.
         """
         if name in self.conserved:
             return self.conserved[name].reshape(-1, *values.shape[1:])
@@ -272,7 +273,9 @@ class NewVertices(NamedTuple):
             near = self._deepest(*depths)
             if values.ndim == 1 and values.dtype.kind in "biu":
                 tied = near == near.max(axis=1, keepdims=True)
-                near = np.where(tied, at_corners == 0, -1.0)
+                level = depths[1][:, None]
+                beside = (near > -np.inf) & ((depths[0][self.corners] < level) | (level == CREASE))
+                near = np.where((tied | beside) & (at_corners == 0), np.inf, near)
         out[self.placed[added]] = at_corners[np.arange(len(near)), near.argmax(axis=1)][added]
         was, now = depths or (np.zeros(0), np.zeros(0))
         for depth in (INTERFACE, INSIDE) if depths is not None else ():

@@ -58,6 +58,17 @@ def test_new_vertices_beside_a_side_have_no_marker_of_that_side(kind):
     assert np.array_equal(made.point_data["left"], np.isclose(made.points[:, 0], 0.0, atol=1e-3))
 
 
+@pytest.mark.parametrize("n", [4, 6])
+def test_new_vertices_of_other_sides_near_a_corner_have_no_marker_of_a_side(n):
+    points, cells = box(3, n)
+    right = points[cells].mean(axis=1)[:, 0] > 0.5
+    mesh = meshio.Mesh(points, [("tetra", cells)], cell_data={"material": [right.astype(int)]},
+                       point_data={"bc": np.where(points[:, 0] == 0.0, 7, 0)})
+    made = remesh(mesh, scale=0.5)
+    left = np.isclose(made.points[:, 0], 0.0, atol=1e-9)
+    assert np.array_equal(made.point_data["bc"], np.where(left, 7, 0))
+
+
 @pytest.mark.parametrize("optimize", [False, True])
 def test_mid_points_have_markers_of_their_own_sides_alone(optimize):
     points, cells = box(3, 4)
