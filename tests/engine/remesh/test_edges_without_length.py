@@ -105,7 +105,8 @@ def test_a_vertex_that_is_fixed_is_the_one_that_stays():
 
 def test_where_the_smaller_surface_stays_the_mesh_does(monkeypatch):
     points, cells = drum([3])
-    monkeypatch.setattr(remesh_triangles, "retile", lambda mesh, *_: unchanged(mesh, "it must"))
+    monkeypatch.setattr(
+        remesh_triangles, "retile", lambda mesh, *_, **__: unchanged(mesh, "it must"))
     (new, rows), report = odt_plugins.remesh_with_report((points, cells), 0.5)
     assert np.array_equal(new, points)
     assert np.array_equal(rows, cells)
