@@ -61,7 +61,6 @@ from odt_plugins.errors import InvalidMeshError
 from odt_plugins.mesh.arrays import FloatArray
 from odt_plugins.mesh.faces import Faces, joined, renumbered, without
 from odt_plugins.mesh.numbering import new_numbers
-from odt_plugins.mesh.seen import NO_METRIC
 from odt_plugins.mesh.simplex import SimplexMesh, diagonal, vertices_of
 from odt_plugins.options import Options
 from odt_plugins.progress import part, silent
@@ -110,7 +109,7 @@ class Done(NamedTuple):
     broken: Broken | None = None
     old: Grounds | None = None
     length: float = 0.0
-    multiple: FloatArray = NO_METRIC
+    multiple: FloatArray = np.zeros(0)
     notes: tuple[str, ...] = ()
 
 

@@ -282,7 +282,7 @@ def _slide(net: Net, rules: Rules, v: int, power: float, goal: float, room: Room
     count, before = _star(net, v, room)
     x, y, z, foot, place = p[v, 0], p[v, 1], p[v, 2], net.foot[v], net.place[v]
     left, right = _size_along(net, first, v), _size_along(net, v, last)
-    if not left + right > 0.0:
+    if not count or not left + right > 0.0:
         return False
     target = low + (high - low) * left / (left + right)
     if goal == goal:

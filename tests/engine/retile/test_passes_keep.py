@@ -8,9 +8,11 @@ from surface_meshes import sphere
 
 import odt_plugins
 from odt_plugins.engine.cells.extremes import Extremes
-from odt_plugins.engine.ground.sheet import SMOOTH
+from odt_plugins.engine.ground.replace import ROOM
+from odt_plugins.engine.ground.sheet import LINE, SMOOTH
 from odt_plugins.engine.retile import polish as polishing
 from odt_plugins.engine.retile.passes import Passes
+from odt_plugins.engine.retile.shift import slide_vertices
 from odt_plugins.engine.retile.surface import resize
 
 ROUNDING = 1e-9
@@ -121,3 +123,23 @@ def test_descents_that_would_fold_a_surface_leave_the_vertices_there(monkeypatch
     assert held[1] > held[0]
     assert report.fallback is None
     assert turns(new, triangles).max() < 120
+
+
+def test_a_vertex_with_more_triangles_than_there_is_room_for_stays_on_its_line(monkeypatch):
+    count, moved, split = 2 * ROOM, [], Passes.split
+    angle, j = 2 * np.pi * np.arange(count) / count, np.arange(count)
+    points = np.concatenate([[[0.0, 0.0]], np.stack([np.cos(angle), np.sin(angle)], axis=1)])
+    cells = np.stack([0 * j, 1 + j, 1 + (j + 1) % count], axis=1)
+
+    def slid(passes, net, bounds):
+        if not moved:
+            hub = np.bincount(net.triangles[: net.count[1]].ravel()).argmax()
+            assert net.kind[hub] == LINE
+            goals = np.full(len(net.points), np.nan)
+            goals[hub] = net.place[hub] + 0.3 * net.size[hub]
+            moved.append(slide_vertices(net, passes.rules, goals, passes.room))
+        return split(passes, net, bounds)
+
+    monkeypatch.setattr(Passes, "split", slid)
+    odt_plugins.remesh((points, cells, (j >= count // 2).astype(int)), scale=1, envelope=1e-2)
+    assert moved == [0]
