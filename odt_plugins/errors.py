@@ -7,10 +7,10 @@ expected and what to try.
 from __future__ import annotations
 
 import contextlib
+import inspect
 import numbers
 import os
 import signal
-import sys
 import warnings
 from contextlib import contextmanager
 from importlib.util import find_spec
@@ -117,8 +117,8 @@ class NotFilledWarning(ODTWarning):
 
 def warn(message: str, category: type[ODTWarning] = ODTWarning) -> None:
     """Warn of a line of the caller's: the first one outside of the package."""
-    level, frame = 2, sys._getframe(1)
-    while frame.f_back is not None and frame.f_code.co_filename.startswith(INSIDE):
+    level, frame = 1, inspect.currentframe()
+    while frame is not None and frame.f_code.co_filename.startswith(INSIDE):
         level, frame = level + 1, frame.f_back
     warnings.warn(message, category, stacklevel=level)
 

@@ -6,6 +6,7 @@ import ast
 import inspect
 import subprocess
 import sys
+from collections import namedtuple as tuple_of
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -200,7 +201,15 @@ def test_toolkits_are_imported_in_their_place_and_inside_functions(held):
 
 def test_no_private_part_of_a_library_is_used(held):
     private = []
+    nodes = [node for inside in held.values() for node in inside]
+    own = {node.name for node in nodes if isinstance(node, (ast.FunctionDef, ast.ClassDef))}
+    own |= {node.attr for node in nodes
+            if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store)}
+    of_tuples = {name for name in dir(tuple_of("It", "one")) if name.startswith("_")}
     for file, inside in held.items():
+        private += [(file, ast.unparse(node)) for node in inside if isinstance(node, ast.Attribute)
+                    and node.attr.startswith("_") and not node.attr.endswith("__")
+                    and node.attr not in own | of_tuples and ast.unparse(node) != "os._exit"]
         for node in inside:
             names = imports(node)
             if isinstance(node, ast.ImportFrom):

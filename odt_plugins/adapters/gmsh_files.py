@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import tempfile
 from functools import partial
-from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -15,15 +14,10 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters.formats import gmsh_read
+from odt_plugins.adapters.formats import gmsh_read, gmsh_write
 from odt_plugins.adapters.formats.gmsh_groups import tag_of
 from odt_plugins.adapters.formats.gmsh_tables import BOUNDS, ENTITY, NODE_ENTITY, PHYSICAL
 from odt_plugins.adapters.formats.titles import plain, written
-
-
-def _inner(name: str) -> Any:
-    """Module of meshio's reader and writer of Gmsh's files."""
-    return import_module(f"meshio.gmsh.{name}")
 
 
 def write(path: Path, mesh: Any, binary: bool) -> None:
@@ -36,7 +30,6 @@ def write(path: Path, mesh: Any, binary: bool) -> None:
                           all cells of a dimension are of one
     binary : bool         or as text
     """
-    common, inner = _inner("common"), _inner("_gmsh41")
     parts = _parts(mesh)
     blocks, tags, sets = parts.cells, parts.cell_data[ENTITY], parts.cell_sets
     of_cells = [(block.dim, int(tag[0])) for block, tag in zip(blocks, tags, strict=True)]
@@ -50,12 +43,10 @@ def write(path: Path, mesh: Any, binary: bool) -> None:
     names = {name: value for name, value in mesh.field_data.items() if is_group(value)}
     groups = parts.cell_data.get(PHYSICAL)
     with path.open("wb") as file:
-        file.write(b"$MeshFormat\n4.1 %d 8\n" % binary)
-        if binary:
-            file.write(np.array([1], dtype=np.int32).tobytes() + b"\n")
-        file.write(b"$EndMeshFormat\n")
+        mark = np.array([1], dtype=np.int32).tobytes() if binary else b""
+        file.write(gmsh_write.section("MeshFormat", binary, b"4.1 %d 8\n" % binary, mark))
         if names:
-            common._write_physical_names(file, names)
+            file.write(gmsh_write.names(names))
         put = partial(_put, file, binary)
         file.write(b"$Entities\n")
         there = sorted(set(of_cells) | set(map(tuple, of_nodes.tolist())))
@@ -79,18 +70,18 @@ def write(path: Path, mesh: Any, binary: bool) -> None:
                 put(bounds, "i4")
             file.write(b"" if binary else b"\n")
         file.write(b"\n$EndEntities\n")
-        inner._write_nodes(file, parts.points, blocks, {NODE_ENTITY: of_nodes}, ".16e", binary)
-        inner._write_elements(file, blocks, {ENTITY: tags}, binary)
+        file.write(gmsh_write.nodes(parts.points, of_nodes, binary))
+        file.write(gmsh_write.elements(blocks, tags, binary))
         if mesh.gmsh_periodic is not None:
-            links = [(*link, number[np.asarray(pairs, dtype=np.int64)])
-                     for *link, pairs in mesh.gmsh_periodic]
-            inner._write_periodic(file, links, ".16e", binary)
+            file.write(gmsh_write.periodic(
+                [(*link, number[np.asarray(pairs, dtype=np.int64)])
+                 for *link, pairs in mesh.gmsh_periodic], binary))
         for name, values in parts.point_data.items():
             if name != NODE_ENTITY:
-                common._write_data(file, "NodeData", name, values, binary)
+                file.write(gmsh_write.values("NodeData", name, values, binary))
         for name, arrays in parts.cell_data.items():
             if name not in (PHYSICAL, ENTITY):
-                common._write_data(file, "ElementData", name, np.concatenate(arrays), binary)
+                file.write(gmsh_write.values("ElementData", name, np.concatenate(arrays), binary))
 
 
 def _number_by_entity(mesh: Any) -> NDArray[np.int64]:

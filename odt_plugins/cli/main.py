@@ -37,6 +37,7 @@ from odt_plugins.cli.flags import (
 )
 from odt_plugins.cli.named import resolve_arrays
 from odt_plugins.cli.terminal import (
+    Command,
     ShareOption,
     beyond_limits,
     check_paths,
@@ -102,6 +103,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 class _Commands(click.Group):
     """The subcommands, of which some are loaded when they are asked for."""
+
+    command_class = Command
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return sorted([*super().list_commands(ctx), *LATER])

@@ -34,26 +34,42 @@ OF_DOMAINS = {"h0": "size", "level": "levels", "most_points": "most_points"}
 
 
 class ShareOption(click.Option):
-    """A switch, or a number that follows it."""
+    """A switch, or a number that follows it, of a :class:`Command`."""
 
-    def add_to_parser(self, parser: Any, ctx: click.Context) -> None:
-        """Let the switch take the next word if that is a number."""
-        super().add_to_parser(parser, ctx)
-        switch = parser._long_opt[self.opts[0]]
-        plain = switch.process
-
-        def process(value: Any, state: Any) -> None:
-            plain(value, state)
-            if state.rargs and _is_number(state.rargs[0]):
-                state.opts[self.name] = state.rargs.pop(0)
-
-        switch.process = process
+    def number_taken(self, ctx: click.Context, words: list[str]) -> list[str]:
+        """Take the numbers that follow the switch, of which the last holds, out of the words."""
+        left: list[str] = []
+        for place, word in enumerate(words):
+            if word == "--":
+                return left + words[place:]
+            flag, follows, told = word.partition("=")
+            number: float | bool = True
+            if flag in self.opts:
+                left.append(flag)
+                number = click.FLOAT(told, self, ctx) if follows else True
+            elif left and left[-1] in self.opts and _is_number(word):
+                number = float(word)
+            else:
+                left.append(word)
+                continue
+            ctx.meta[f"{__name__}.{self.name}"] = number
+        return left
 
     def type_cast_value(self, ctx: click.Context, value: Any) -> Any:
         """Give a number, or what a switch gives."""
-        if isinstance(value, str) and _is_number(value):
-            return float(value)
-        return super().type_cast_value(ctx, value)
+        given = super().type_cast_value(ctx, value)
+        return ctx.meta.get(f"{__name__}.{self.name}", True) if given is True else given
+
+
+class Command(click.Command):
+    """A command whose switches may have numbers."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Read the words of a call."""
+        for option in self.get_params(ctx):
+            if isinstance(option, ShareOption):
+                args = option.number_taken(ctx, args)
+        return super().parse_args(ctx, args)
 
 
 def _is_number(word: str) -> bool:

@@ -291,9 +291,10 @@ def test_untangling_inserts_vertices_when_told_and_shows_its_progress(
     meshio.Mesh(points, [("tetra", cells)]).write("bad.vtu")
     assert cli.main("untangle bad.vtu out.vtu".split()) == 1
     assert "try --insert, moving what holds them" in capsys.readouterr().err
-    assert cli.main("untangle bad.vtu out.vtu --insert 0.2".split()) == 0
-    assert "0 vertices moved, 1 added" in capsys.readouterr().out
-    assert len(meshio.read("out.vtu").points) == 7
+    for words in ("out.vtu --insert 0.2", "--insert=0.2 out.vtu", "--no-insert out.vtu --insert"):
+        assert cli.main(f"untangle bad.vtu {words}".split()) == 0
+        assert "0 vertices moved, 1 added" in capsys.readouterr().out
+        assert len(meshio.read("out.vtu").points) == 7
     assert told[-1][1] == 1.0
     assert any(stage == "untangling" for stage, _ in told)
 
@@ -694,6 +695,9 @@ def test_a_printed_report_names_flags(tmp_path, monkeypatch, capsys):
     ("optimize ball.vtu o.e --file-format gmsh22", "expected one of gmsh22, gmsh41, for .msh"),
     ("optimize ball.vtu o.vtu --metric input --insert 0.3",
      "got --insert 0.3; expected --no-insert with a metric"),
+    ("optimize ball.vtu o.vtu --metric input --insert --insert=0.3",
+     "got --insert 0.3; expected --no-insert with a metric"),
+    ("optimize ball.vtu o.vtu --insert=few", "'few' is not a valid float"),
     ("optimize ball.vtu o.vtu --no-finish --insert", "expected --no-insert without finishing"),
     ("optimize ball.vtu o.vtu --insert --smoothing connectivity=none",
      "got --insert; expected --no-insert with --smoothing connectivity=none"),
