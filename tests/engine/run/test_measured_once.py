@@ -14,18 +14,21 @@ from odt_plugins.generate.clouds import ball
 from odt_plugins.mesh.simplex import simplex_mesh
 
 
+def named(points, cells):
+    return np.ascontiguousarray(points).tobytes(), len(cells)
+
+
 @pytest.fixture
 def measured(monkeypatch):
-    """How many cells were measured at every call."""
-    counts, real = [], figures.spread
+    """The meshes that were measured, every time."""
+    meshes, real = [], figures.CellGeometry
 
-    def counted(work, parts, threads):
-        parts = list(parts)
-        counts.append(max(part.stop for part in parts))
-        return real(work, parts, threads)
+    def noted(axes, cells):
+        meshes.append(named(axes.T, cells))
+        return real(axes, cells)
 
-    monkeypatch.setattr(figures, "spread", counted)
-    return counts
+    monkeypatch.setattr(figures, "CellGeometry", noted)
+    return meshes
 
 
 @pytest.mark.parametrize(("run", "options"), [
@@ -34,8 +37,9 @@ def measured(monkeypatch):
 ])
 def test_inputs_and_results_are_measured_once(run, options, measured):
     points, cells = ball(400)
-    (_, after), _ = run((points, cells), **options)
-    assert measured.count(len(cells)) == measured.count(len(after)) == 1
+    after, _ = run((points, cells), **options)
+    assert measured.count(named(points, cells)) == measured.count(named(*after)) == 1
+    assert len({*measured}) == len(measured)
 
 
 def test_other_arrays_are_measured_anew():
