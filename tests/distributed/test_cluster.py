@@ -214,7 +214,7 @@ def test_workers_that_are_paused_for_good_end_the_run_with_a_sentence(monkeypatc
     with (
         dask.config.set({"distributed.worker.memory.pause": 1e-3}),
         distributed.LocalCluster(n_workers=1, processes=False, memory_limit="4GB",
-                                 dashboard_address=None) as own,
+                                 dashboard_address=":0") as own,
         distributed.Client(own) as client,
     ):
         # a worker looks at its memory from time to time
