@@ -38,6 +38,9 @@ from odt_plugins.mesh.surface import Edges, surface_edges
 SPARE = 1.3
 """Room at the beginning, as a multiple of what there is."""
 
+EDGES = 8
+"""Edges of a vertex for which there is room at first."""
+
 TURN, NEW_TURN = 0.25, 0.6
 """Least cosine between a new triangle and the ground under it, and the triangle that it was."""
 
@@ -219,12 +222,17 @@ def edges_beyond(
     If vertices ``near`` (n,) are marked, only those with one of them.
     """
     n = int(body.used[0])
-    near = np.ones(n, dtype=np.bool_) if near is None else near
-    room = 1 << 16
+    if near is None:
+        near = around = np.ones(n, dtype=np.bool_)
+    else:
+        around, rows = near.copy(), body.tets.rows
+        around[rows[near[rows].any(axis=1)]] = True
+    room = EDGES * n
     while True:
         edges, ratios = np.empty((room, 2), dtype=np.int32), np.empty(room)
         mark = np.full(n, -1, dtype=np.int32)
-        found = int(_edges_beyond(body, limit * limit, longer, near, mark, edges, ratios))
+        found = int(_edges_beyond(
+            body, limit * limit, longer, near, around, mark, edges, ratios))
         if found <= room:
             break
         room = found
@@ -234,13 +242,15 @@ def edges_beyond(
 
 @kernel
 def _edges_beyond(
-    body: Body, limit: float, longer: bool, near: BoolArray, mark: IntArray, edges: IntArray,
-    ratios: FloatArray,
+    body: Body, limit: float, longer: bool, near: BoolArray, around: BoolArray, mark: IntArray,
+    edges: IntArray, ratios: FloatArray,
 ) -> int:
-    """Count such edges, and write them as long as there is room."""
+    """Count such edges of vertices ``around`` those, and write them as long as there is room."""
     tets = body.tets
     count = 0
     for v in range(mark.shape[0]):
+        if not around[v]:
+            continue
         at = tets.head[v]
         for _ in range(tets.next.size):
             if at < 0:
