@@ -364,3 +364,13 @@ def test_numbers_of_any_width_are_conserved(kind):
     assert finer.point_data["x"].dtype == finer.cell_data["one"][0].dtype == kind
     assert np.allclose(finer.point_data["x"], finer.points[:, 0], atol=1e-2)
     assert np.allclose(finer.cell_data["one"][0], 1.0, atol=1e-2)
+
+
+@pytest.mark.parametrize("kinds", [(">f8", ">f8"), ("f4", "f8")])
+def test_arrays_of_blocks_keep_their_types_with_their_integrals(kinds):
+    points = np.random.default_rng(5).random((60, 2))
+    parts = np.array_split(Delaunay(points).simplices, 2)
+    mesh = meshio.Mesh(points, [("triangle", part) for part in parts], {}, {
+        "one": [np.ones(len(part), kind) for part, kind in zip(parts, kinds, strict=True)]})
+    finer = odt_plugins.remesh(mesh, scale=0.8, fields="conserve", regions=None)
+    assert [values.dtype for values in finer.cell_data["one"]] == [np.dtype(kind) for kind in kinds]

@@ -230,7 +230,7 @@ def write(result: Result, host: HostMesh) -> Any:
         if origin is not None:
             origin.cells[i] = origin.cells[i][local]
         for name, values in result.of_cells.items():
-            out.cell_data[name][i] = values[here]
+            out.cell_data[name][i] = values[here].astype(np.asarray(out.cell_data[name][i]).dtype)
     if result.curved and not host.higher_order:
         _renew_normals(out, result, host)
     if result.feet is not None and not host.higher_order:
