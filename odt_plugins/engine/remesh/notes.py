@@ -13,7 +13,7 @@ from odt_plugins.engine.surface.in_plane import in_space
 from odt_plugins.engine.surface.judge import values_on
 from odt_plugins.errors import counted, place_within
 from odt_plugins.mesh.arrays import FloatArray
-from odt_plugins.mesh.simplex import SimplexMesh, diagonal
+from odt_plugins.mesh.simplex import SimplexMesh, diagonal, vertices_of
 from odt_plugins.options import Options
 from odt_plugins.promise.good import fallen_since
 
@@ -40,10 +40,11 @@ def told_of_edges(outcome: Outcome, unit: float, multiple: FloatArray) -> tuple[
         f"long as asked for, {ratio.mean():.2f} on average; {short.mean():.1%} are shorter, "
         f"{(short & there).mean():.1%} between vertices of the surface, and {long.mean():.1%} "
         f"longer",)
-    finer = np.flatnonzero(multiple > FINER)
+    used = vertices_of(outcome.cells)
+    finer = used[multiple[used] > FINER]
     if len(finer):
         most = finer[np.argmax(multiple[finer])]
-        place = place_within(diagonal(outcome.points), outcome.points[most])
+        place = place_within(diagonal(outcome.points[used]), outcome.points[most])
         notes += (
             f"sizes are smaller than asked for at {counted(len(finer), 'vertex', 'vertices')}, "
             f"{np.median(multiple[finer]):.2g} times in the middle and {multiple[most]:.2g} times "

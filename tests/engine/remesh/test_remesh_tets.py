@@ -9,6 +9,7 @@ import meshio
 import numpy as np
 import pytest
 import pyvista
+import skfem
 from tet_meshes import ball
 
 import odt_plugins
@@ -208,6 +209,16 @@ def test_where_the_envelope_forbids_the_size_the_nearest_one_comes_and_is_told()
     assert any("sizes are smaller than asked for" in note for note in report.notes)
     assert report.binding
     assert not any("insert" in cell.hint for cell in report.binding)
+
+
+def test_vertices_of_no_cell_are_none_whose_sizes_are_smaller():
+    mesh = skfem.MeshTet().refined(2)
+    points, cells = mesh.p.T, mesh.t.T
+    left, low, _ = (points[cells].mean(axis=1) < 0.5).T
+    told = [odt_plugins.remesh_with_report((x, cells, 2 * left + low), scale=1.5)[1].notes
+            for x in (points, np.concatenate([points, np.full((600, 3), 0.5)]))]
+    assert any("sizes are smaller than asked for" in note for note in told[0])
+    assert told[0] == told[1]
 
 
 def test_triangles_with_labels_stay_facets_and_a_linear_field_stays_itself(box):
