@@ -55,9 +55,9 @@ def metric_from_field(
     values : array, str, list of str or callable
                                  of a field at the vertices: (n,), or (n, c) of one with c
                                  components, whose metrics are intersected; the name of a point
-                                 array of the mesh, or the names of several, each of which is scaled
-                                 to `cells` before they are intersected; or a function
-                                 values(points)
+                                 array of the mesh, or the names of several, each of which that is
+                                 not linear all over is scaled to `cells` before they are
+                                 intersected; or a function values(points)
     cells : int                  about how many cells there are to be
     norm : float                 p of the L^p norm of the error that is to be least; inf for the
                                  largest error. The larger it is the more cells go to where the
@@ -121,9 +121,11 @@ def metric_from_field(
         fields = [_of_unit_range(_values(host, part), corners) for part in _parts(values)]
     along = tangents(points, corners) if points.shape[1] == corners.shape[1] else None
     limits = growth or GROWTH, ratio
-    found = [hessians_to_metric(points, corners, recovered_hessians(points, corners, field, along),
-                                _least(points, corners, field), cells, norm, limits, along)
+    known = [(recovered_hessians(points, corners, field, along), _least(points, corners, field))
              for field in fields]
+    bent = [pair for pair in known if np.abs(pair[0]).max() > pair[1]] or known[:1]
+    found = [hessians_to_metric(points, corners, *pair, cells, norm, limits, along)
+             for pair in bent]
     metric = found[0]
     if len(found) > 1:
         for other in found[1:]:
@@ -293,15 +295,15 @@ def _parts(values: Any) -> list[Any]:
 
 def _values(host: HostMesh, given: Any) -> FloatArray:
     """Components (n, c) of one field."""
-    n = len(host.points)
+    n, name = len(host.points), "a field"
     if isinstance(given, str):
-        fields = numbers(host.fields)
+        fields = {key: one for key, one in numbers(host.fields).items() if one.dtype.kind == "f"}
         if given not in fields:
             known = ", ".join(fields) or "none"
             msg = (f"got field {given!r}; expected the name of a point array of floating-point "
                    f"numbers of this mesh, it has {known}")
             raise InvalidOptionError(msg)
-        given = fields[given]
+        name, given = f"field {given!r}", fields[given]
     raw = given(np.array(host.points, dtype=np.float64)) if callable(given) else given
     raw = plain_values("values", raw)
     field = real_numbers(
@@ -313,7 +315,7 @@ def _values(host: HostMesh, given: Any) -> FloatArray:
     used = np.unique(np.asarray(host.cells, dtype=np.int64))
     bad = used[~np.isfinite(field[used]).all(axis=1)]
     if bad.size:
-        msg = (f"got a field with NaN or infinite values at vertex {bad[0]} ({bad.size} of them); "
+        msg = (f"got {name} with NaN or infinite values at vertex {bad[0]} ({bad.size} of them); "
                f"expected finite ones")
         raise InvalidOptionError(msg)
     rest = np.setdiff1d(np.arange(n), used)

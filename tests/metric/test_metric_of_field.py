@@ -212,6 +212,25 @@ def test_several_fields_count_alike_whatever_their_units():
     assert share[3] == pytest.approx(0.5, abs=0.1)
 
 
+def test_fields_that_are_linear_take_no_cells_from_others():
+    mesh = layers()
+    mesh.point_data |= {"zero": np.zeros(len(mesh.points)), "slope": 2.0 - mesh.points[:, 0]}
+    alone = odt_plugins.metric_from_field(mesh, "u", 1000)
+    beside = odt_plugins.metric_from_field(mesh, ["zero", "u", "slope"], 1000)
+    assert np.array_equal(alone, beside)
+    even = odt_plugins.metric_from_field(mesh, ["slope", "zero"], 1000)
+    assert np.allclose(even, even[0, 0, 0] * np.eye(2))
+
+
+def test_of_several_fields_the_one_that_is_refused_is_named():
+    mesh = layers()
+    mesh.point_data |= {"hole": np.full(len(mesh.points), np.nan), "wave": mesh.points[:, 0] * 1j}
+    said = {"hole": "got field 'hole' with NaN", "wave": "got field 'wave'; .*hole$"}
+    for name, message in said.items():
+        with pytest.raises(InvalidOptionError, match=message):
+            odt_plugins.remesh(mesh, adapt=["u", name], cells=100)
+
+
 def test_triangles_in_a_plane_of_space_are_those_of_the_plane():
     mesh = layers()
     flat = odt_plugins.metric_from_field(mesh, "u", 500)
