@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from odt_plugins.adapters.colours import varies
 from odt_plugins.adapters.host import HostMesh, NewVertices
-from odt_plugins.errors import InvalidOptionError, UnsupportedMeshError, plain_values
+from odt_plugins.errors import InvalidOptionError, UnsupportedMeshError, expect, plain_values
 from odt_plugins.following import CONSERVE, Prepared, around, follow, interpolates, new_vertices
 from odt_plugins.options import Options
 
@@ -45,6 +45,7 @@ class Transfer:
 
     def __call__(self, values: ArrayLike, at: At | None = None) -> NDArray[Any]:
         """Values for the result; see :meth:`odt_plugins.Report.transfer`."""
+        expect(at in (None, "points", "cells"), "at", at, "'points' or 'cells'")
         array = np.asarray(plain_values("values", values))
         host = self.work.host
         cells = len(host.cells) if host.ids is None else host.total

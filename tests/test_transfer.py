@@ -122,6 +122,8 @@ def test_what_fits_nothing_or_two_things_is_refused():
             report.transfer(values)
     with pytest.raises(InvalidOptionError, match="at='cells'; expected"):
         report.transfer(np.ones(5), at="cells")
+    with pytest.raises(InvalidOptionError, match="at='vertices'; expected 'points' or 'cells'"):
+        report.transfer(np.ones(5), at="vertices")
     hexagon = np.exp(1j * np.pi / 3 * np.arange(6))
     ring = np.vstack([np.column_stack([hexagon.real, hexagon.imag]), [[0.1, 0.0], [0.4, 0.1]]])
     cells = np.array([[i, (i + 1) % 6, 6] for i in range(6)])

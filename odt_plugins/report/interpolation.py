@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from odt_plugins.errors import InvalidOptionError
+from odt_plugins.errors import InvalidOptionError, expect
 from odt_plugins.figures import volumes
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.simplex import vertices_of
@@ -68,6 +68,7 @@ class InterpolationErrors:
 
 def errors_of_report(report: Any, f: Function) -> InterpolationErrors:
     """Errors before and after a run, over all parts of an object of several meshes."""
+    expect(callable(f), "f", f, "a function f(x) -> (k,) of places x (k, d)")
     if report.parts:
         parts = [errors_of_report(part, f) for part in report.parts]
         return InterpolationErrors(*(Errors(

@@ -8,6 +8,7 @@ import math
 import meshio
 import numpy as np
 import pytest
+from scipy.spatial import Delaunay
 from strategies import jittered
 
 import odt_plugins
@@ -100,3 +101,11 @@ def test_what_is_no_function_is_refused(f, message):
     points, cells = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]), np.array([[0, 1, 2]])
     with pytest.raises(InvalidOptionError, match=message):
         interpolation_errors(points, cells, f)
+
+
+def test_values_in_place_of_a_function_are_refused_by_name():
+    points = np.random.default_rng(3).random((30, 2))
+    cells = Delaunay(points).simplices
+    _, report = odt_plugins.optimize_with_report((points, cells))
+    with pytest.raises(InvalidOptionError, match="got f= of type ndarray; expected a function"):
+        report.interpolation_error(points[:, 0])
