@@ -266,7 +266,7 @@ def _prepare(mesh: Any, options: Options, wanted: Wanted) -> tuple[Prepared, Hos
         host = replace(host, regions=even_rows("regions", options.regions))
     with words_of(host):
         if options.insert:
-            expect_tetrahedra(host)
+            expect_tetrahedra(host, options.insert)
         flat = flat_points(host)
         own, seen_host = seen(host, flat[0]), host
         if host.nodes is not None:

@@ -453,8 +453,8 @@ def words_of(host: HostMesh) -> Iterator[None]:
         raise said from exc
 
 
-def expect_tetrahedra(host: HostMesh) -> None:
+def expect_tetrahedra(host: HostMesh, insert: bool | float) -> None:
     """Refuse meshes into which no vertices can be inserted."""
     if host.cells.shape[1:] == (3,):
-        msg = "got insert=True for a mesh of triangles; expected one of tetrahedra"
+        msg = f"got insert={insert} for a mesh of triangles; expected one of tetrahedra"
         raise InvalidOptionError(msg)

@@ -124,8 +124,9 @@ def _surface(mesh: Any) -> tuple[FloatArray, IntArray]:
     host = find_adapter(mesh).read(mesh)
     points, cells = mesh_arrays(host.points, host.cells)
     if cells.shape[1] != 3 or points.shape[1] != 3:
-        what = "tetrahedra" if cells.shape[1] == 4 else "triangles in the plane"
-        msg = f"got {what} as a surface; expected triangles in space, try the boundary"
+        what, hint = (("tetrahedra", "the boundary") if cells.shape[1] == 4 else (
+            "triangles in the plane", "odt_plugins.remesh, which makes triangles smaller, too"))
+        msg = f"got {what} as a surface; expected triangles in space, try {hint}"
         raise InvalidMeshError(msg)
     used, number = np.unique(cells, return_inverse=True)
     places, merged = np.unique(points[used], axis=0, return_inverse=True)

@@ -331,6 +331,7 @@ def test_what_has_no_meaning_is_refused_with_one_sentence(meshed, monkeypatch):
         (mesh, {"envelope": 0.0}, r"got envelope=0.0; expected a part of the diagonal"),
         (mesh, {"edge_length": -1.0}, "got edge_length=-1.0"),
         (mesh, {"insert": True}, "got insert=True"),
+        (mesh, {"insert": 0.5}, "got insert=0.5"),
         (mesh, {"regions": np.zeros(len(mesh[1]), int)}, "got regions as an array"),
         (mesh, {"density": np.ones(len(mesh[0]))}, "got density as a ndarray"),
         (sphere, {"surface": sphere}, "got surface for a mesh of triangles"),
@@ -343,7 +344,7 @@ def test_what_has_no_meaning_is_refused_with_one_sentence(meshed, monkeypatch):
     for given_, options, words in (
         (open_, {}, r"not closed: 3 edges \(first: between vertices .*\) belong to an odd"),
         (mesh, {"surface": open_}, "not closed"),
-        (plane, {}, "got triangles in the plane as a surface"),
+        (plane, {}, "got triangles in the plane as a surface.*try odt_plugins.remesh"),
         (mesh, {"surface": mesh}, "got tetrahedra as a surface"),
         (mesh, {"levels": 9}, r"9 levels of refinement would make \d{11} tetrahedra of \d+"),
     ):

@@ -459,6 +459,8 @@ def test_other_meshes_are_refused_before_any_work(name, monkeypatch, tmp_path):
     monkeypatch.setattr(plan, "run", lambda *_: pytest.fail("work was done"))
     with pytest.raises(InvalidOptionError, match=r"insert=True for a mesh of (triangles|faces)"):
         host.optimize(host.make(), insert=True)
+    with pytest.raises(InvalidOptionError, match=r"insert=0.2 for a mesh of (triangles|faces)"):
+        host.optimize(host.make(), insert=0.2)
 
 
 def test_progress_goes_on_to_one():
