@@ -52,6 +52,8 @@ def report_of_parts(parts: Sequence[Report]) -> Report:
                for part in parts for key in getattr(part, name)} for name in ("times", "counts")}
     told |= {name: sum(getattr(part, name) for part in parts)
              for name in ("n_used", "n_movable", "layers")}
+    told |= {name: tuple(dict.fromkeys(one for part in parts for one in getattr(part, name)))
+             for name in ("regions_from", "interpolated")}
     fallbacks = [part.fallback for part in parts if part.fallback]
     histograms = [tuple(map(sum, zip(*(getattr(part, name) for part in parts), strict=True)))
                   for name in ("histogram_before", "histogram_after")]

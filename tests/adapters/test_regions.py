@@ -154,6 +154,18 @@ def test_cell_sets_are_named_in_the_report():
     assert odt_plugins.optimize_with_report(mesh, regions=None)[1].regions_from == ()
 
 
+def test_blocks_of_other_arrays_tell_of_all_of_them():
+    points, cells, x = plane()
+    blocks = []
+    for name, field in (("right", "u"), ("top", "v")):
+        grid = pyvista.UnstructuredGrid({5: cells}, np.pad(points, ((0, 0), (0, 1))))
+        grid.cell_data[name] = (x[:, 0] > 0.5).astype(np.uint8)
+        grid.point_data[field] = points[:, 0]
+        blocks.append(grid.translate([2.0 * len(blocks), 0.0, 0.0]))
+    report = odt_plugins.optimize_with_report(pyvista.MultiBlock(blocks))[1]
+    assert (report.regions_from, report.interpolated) == (("right", "top"), ("u", "v"))
+
+
 def test_blocks_take_the_same_regions_and_fields():
     points, cells, x = plane()
     mesh = meshio.Mesh(points, [("triangle", cells)], point_data={"T": points[:, 0].copy()},
