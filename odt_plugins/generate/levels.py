@@ -253,7 +253,8 @@ def check_levels(levels: Any, edge_length: Any, options: Mapping[str, Any]) -> N
                "regions) as the mesh")
         raise InvalidOptionError(msg)
     if options.get("insert"):
-        msg = f"got insert={options['insert']}; expected False, try odt_plugins.optimize on the result"
+        msg = (f"got insert={options['insert']}; expected False, try odt_plugins.optimize on the "
+               f"result")
         raise InvalidOptionError(msg)
     density = options.get("density", "keep")
     if not (isinstance(density, str) or callable(density)):
