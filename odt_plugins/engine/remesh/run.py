@@ -228,8 +228,10 @@ def _towards(
         note = (f"{goal.count(best)} {goal.what} are as near to the {goal.number} asked for as "
                 "the promise allows")
         if goal.count(best) > goal.number:
-            note += ", try " + (
-                "a larger envelope=" if options.boundary == "slide" else "boundary='slide'")
+            slides = options.boundary == "slide"
+            note += ", try " + " or ".join(
+                ["a larger envelope="] * (slides or mesh.is_surface)
+                + ["boundary='slide'"] * (not slides))
         best = replace(best, notes=(note, *best.notes))
     return best
 

@@ -120,6 +120,14 @@ def test_a_count_that_is_missed_is_told():
     assert any("cells are as near to the 3 asked for" in note for note in report.notes)
 
 
+def test_what_keeps_a_curved_surface_from_a_count_is_named():
+    ball = sphere(2)
+    for boundary in ("slide", "fixed"):
+        _, report = odt_plugins.remesh_with_report(ball, vertices=30, boundary=boundary)
+        assert any("vertices are as near to the 30 asked for as the promise allows, try a larger "
+                   "envelope=" in note for note in report.notes)
+
+
 @pytest.mark.parametrize("limited", [False, True])
 def test_a_plate_far_thinner_than_the_sizes_does_not_fill_the_memory(limited, monkeypatch):
     points, cells = cube(2)
