@@ -430,13 +430,14 @@ def _cells(dataset: Any) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
 
 
 def as_numpy(array: Any) -> NDArray[Any]:
-    """Copy an array of VTK, of texts too."""
+    """Copy an array of VTK."""
     from vtkmodules.util.numpy_support import vtk_to_numpy
 
-    if array.IsA("vtkStringArray"):
-        texts = [array.GetValue(i) for i in range(array.GetNumberOfValues())]
-        width = array.GetNumberOfComponents()
-        return np.array(texts, dtype=str).reshape((-1, width) if width > 1 else -1)
+    kind = {"vtkStringArray": str, "vtkBitArray": np.uint8}.get(array.GetClassName())
+    if kind:
+        own = [*map(array.GetValue, range(array.GetNumberOfValues()))]
+        k = array.GetNumberOfComponents()
+        return np.array(own, kind).reshape([-1, k][:k])
     return np.array(vtk_to_numpy(array))
 
 

@@ -171,6 +171,40 @@ def test_several_texts_for_each_come_back_in_files(tmp_path):
         (f"a{i}", f"b{i}") for i in range(len(points))]
 
 
+@pytest.mark.parametrize("suffix", ["", ".vtu", ".vtk"])
+def test_several_bits_for_each_come_back(suffix, tmp_path):
+    from vtkmodules import vtkIOLegacy, vtkIOXML
+    from vtkmodules.vtkCommonCore import vtkBitArray
+
+    points, cells, _ = contract.grid(3, 4)
+    mesh = with_two_texts(points, cells)
+    bits = vtkBitArray()
+    bits.SetName("bits")
+    bits.SetNumberOfComponents(2)
+    for i in range(len(cells)):
+        bits.InsertNextTuple((i % 2, i % 3 == 0))
+    mesh.GetCellData().AddArray(bits)
+    if suffix:
+        kinds = {".vtu": (vtkIOXML, "vtkXMLUnstructuredGrid"),
+                 ".vtk": (vtkIOLegacy, "vtkUnstructuredGrid")}
+        home, kind = kinds[suffix]
+        source, target = tmp_path / f"in{suffix}", tmp_path / f"out{suffix}"
+        writer, reader = getattr(home, f"{kind}Writer")(), getattr(home, f"{kind}Reader")()
+        writer.SetFileName(str(source))
+        writer.SetInputData(mesh)
+        writer.Write()
+        _, report = odt_plugins.optimize_with_report(source, target=target)
+        reader.SetFileName(str(target))
+        reader.Update()
+        out = reader.GetOutput()
+    else:
+        out, report = odt_plugins.optimize_with_report(mesh)
+    found = out.GetCellData().GetAbstractArray("bits")
+    assert found.IsA("vtkBitArray")
+    assert [found.GetTuple2(i) for i in range(found.GetNumberOfTuples())] == [
+        (i % 2, i % 3 == 0) for i in report.cell_origin.tolist()]
+
+
 @pytest.mark.parametrize("verb", [odt_plugins.optimize, functools.partial(
     odt_plugins.remesh, scale=0.8)])
 def test_names_of_components_colour_tables_and_ids_survive_in_pyvista(verb):
