@@ -91,7 +91,7 @@ def with_bent(
     if not len(edges.ends):
         return work, options, None
     if not free or work.own is not None:
-        return _still(work, given, edges.ends), options, None
+        return _still(work, given, edges.ends, insert=bool(options.insert)), options, None
     nodes = np.asarray(given.points, dtype=np.float64)
     nodes = _in_space(nodes if work.frame is None else work.frame.to_plane(nodes))
     mesh, n = work.mesh, len(nodes)
@@ -157,14 +157,21 @@ def _surface(
     return facets, edges.vertices[sharp]
 
 
-def _still(work: Prepared, given: HostMesh, ends: NDArray[np.int64]) -> Prepared:
-    """Freeze the cells at some edges, and at edges of cells that are not optimised."""
+def _still(
+    work: Prepared, given: HostMesh, ends: NDArray[np.int64], *, insert: bool
+) -> Prepared:
+    """Freeze the cells at curved edges, and at edges of cells that are not optimised."""
     own, rows = work.own, np.asarray(work.mesh.cells)
     if own is not None:
         ends = np.concatenate([ends, _edges_of(np.delete(np.asarray(given.cells), own, axis=0))])
     key = row_keys(np.concatenate([_edges_of(rows), np.sort(ends, axis=1)]), len(work.mesh.points))
     stays: Any = np.isin(key[: -len(ends)], key[-len(ends):]).reshape(len(rows), -1).any(axis=1)
-    return work._replace(mesh=freeze(work.mesh, stays))
+    notes = work.notes
+    if own is None:
+        why = "vertices are inserted" if insert else "the surface does; try boundary='slide'"
+        notes += (f"{counted(int(stays.sum()), 'curved cell')} of the input stay as they are, "
+                  f"since {why}",)
+    return work._replace(mesh=freeze(work.mesh, stays), notes=notes)
 
 
 def _edges_of(rows: NDArray[Any]) -> NDArray[np.int64]:

@@ -194,7 +194,8 @@ def run_engine(
         "cell_origin": whence, "plane": work.frame,
         "carrying": transfer_of(work, given, outcome, written, options, whence),
         "interpolated": () if vertices is None else fields,
-        "refused": wanted.refused + ("insert",) * (given.higher_order and not given.whole),
+        "refused": wanted.refused + ("insert",) * (given.higher_order and not given.whole)
+        + ("free='layers'",) * (not layers),
         "tangle": work.tangle, "curved": curved.facts, "layers": layers,
         "integrals": data.cell_integrals, "point_integrals": data.point_integrals}
     result = Result(

@@ -10,7 +10,7 @@ import meshio
 import numpy as np
 import pytest
 
-from odt_plugins import optimize, remesh, remesh_with_report
+from odt_plugins import optimize_with_report, remesh, remesh_with_report
 from odt_plugins.adapters.elevated import _unfold
 from odt_plugins.adapters.higher_order import lattice
 
@@ -152,9 +152,15 @@ def test_curved_cells_stay_where_the_boundary_does_and_where_vertices_are_insert
     middle = x[cells[:, [[0, 1], [1, 2], [2, 0], [0, 3], [1, 3], [2, 3]]]].mean(axis=2)
     curved = (np.abs(x[cells[:, 4:]] - middle).max(axis=(1, 2)) > 1e-3)
     was = {tuple(sorted(map(tuple, rows))) for rows in x[cells[curved]].tolist()}
-    for out in (remesh(mesh, scale=0.6, boundary="fixed"), optimize(mesh, insert=0.2)):
+    for said, (out, report) in (
+            ("the surface does; try boundary='slide'",
+             remesh_with_report(mesh, scale=0.6, boundary="fixed")),
+            ("vertices are inserted", optimize_with_report(mesh, insert=0.2))):
         now = {tuple(sorted(map(tuple, rows))) for rows in out.points[out.cells[0].data].tolist()}
         assert was <= now
+        assert any(note.endswith(f"curved cells of the input stay as they are, since {said}")
+                   for note in report.notes)
+        assert not any("layers" in cell.hint for cell in report.binding)
 
 
 def test_a_valid_cell_whose_corners_are_inverted_stays():
