@@ -91,6 +91,7 @@ def beyond(
     origin: Any = outcome.origin
     kept = origin >= 0
     moved = (outcome.points[kept] != mesh.points[origin[kept]]).any(axis=1)
+    moved &= np.isin(origin[kept], boundary_facets(mesh.cells))
     was, now = (float(signed_volumes(x.points, x.cells).sum()) for x in (mesh, outcome))
     slid = Slid(envelope, forward, backward, now / was - 1.0, int(moved.sum()))
     if not max(forward, backward) <= envelope:

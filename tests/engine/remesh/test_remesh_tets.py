@@ -1,5 +1,6 @@
 """Tetrahedra of other sizes: the shape stays, the sizes come, and what is held is held."""
 
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
@@ -20,9 +21,10 @@ import odt_plugins.engine.remesh.volume as remesh_volume
 from odt_plugins.engine.cells.measures import QUALITY
 from odt_plugins.engine.moves.passes import measures
 from odt_plugins.engine.remesh import remedies
-from odt_plugins.engine.remesh.distance import Broken
+from odt_plugins.engine.remesh.distance import Broken, beyond, grounds_of
 from odt_plugins.engine.run.outcome import unchanged
 from odt_plugins.errors import InvalidOptionError
+from odt_plugins.mesh.simplex import simplex_mesh
 
 DATA = Path(__file__).parents[2] / "data"
 
@@ -209,6 +211,19 @@ def test_where_the_envelope_forbids_the_size_the_nearest_one_comes_and_is_told()
     assert any("sizes are smaller than asked for" in note for note in report.notes)
     assert report.binding
     assert not any("insert" in cell.hint for cell in report.binding)
+
+
+def test_vertices_that_slid_are_those_of_the_boundary():
+    points, cells = boxes.box(3, 4)
+    mesh = simplex_mesh(points, cells)[0]
+    inside = int(np.argmin(np.abs(mesh.points - 0.5).sum(axis=1)))
+    on_side = int(np.argmin(np.abs(mesh.points - [0.5, 0.5, 0.0]).sum(axis=1)))
+    for moved, count in ((inside, 0), (on_side, 1)):
+        there = mesh.points.copy()
+        there[moved, 0] += 1e-3
+        outcome = replace(unchanged(mesh, ""), points=there, origin=np.arange(len(there)))
+        broken, slid = beyond(mesh, grounds_of(mesh), outcome, 0.1)
+        assert (broken, slid.vertices) == (None, count)
 
 
 def test_vertices_of_no_cell_are_none_whose_sizes_are_smaller():
