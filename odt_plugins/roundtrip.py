@@ -21,6 +21,8 @@ from odt_plugins.adapters.host import (
     Result,
     as_indices,
     expect_tetrahedra,
+    flat_points,
+    with_places,
     words_of,
 )
 from odt_plugins.adapters.kept import (
@@ -55,11 +57,10 @@ from odt_plugins.mesh.bodies import of_bodies
 from odt_plugins.mesh.layers import keep_layers
 from odt_plugins.mesh.numbering import in_old_numbers, most_vertices, new_numbers, old_numbers
 from odt_plugins.mesh.numbers import even_rows
-from odt_plugins.mesh.plane import PlaneFrame, plane_frame
+from odt_plugins.mesh.plane import PlaneFrame, places_in_space
 from odt_plugins.mesh.simplex import (
     SimplexMesh,
     compact_labels,
-    mesh_arrays,
     reverse,
     simplex_mesh,
 )
@@ -190,7 +191,9 @@ def run_engine(
         (kept.ids, now.source) for kept, now in zip(given.kept, faces, strict=False)
         if kept.ids is not None and now is not None])
     told: dict[str, Any] = {
-        "regions_from": work.host.regions_from, "notes": work.notes + outcome.notes,
+        "regions_from": work.host.regions_from, "notes": (
+            *work.notes,
+            *(places_in_space(text, work.frame, work.mesh.extent) for text in outcome.notes)),
         "cell_origin": whence, "plane": work.frame,
         "carrying": transfer_of(work, given, outcome, written, options, whence),
         "interpolated": () if vertices is None else fields,
@@ -269,6 +272,8 @@ def _prepare(mesh: Any, options: Options, wanted: Wanted) -> tuple[Prepared, Hos
         if options.insert:
             expect_tetrahedra(host, options.insert)
         flat = flat_points(host)
+    host = with_places(host, *flat)
+    with words_of(host):
         own, seen_host = seen(host, flat[0]), host
         if host.nodes is not None:
             seen_host = held(host)
@@ -409,15 +414,6 @@ def _of_soup(
         f"hardly any vertices may move, since the cells share hardly any{why}; {call}")
     warn(note)
     return found._replace(notes=(note,))
-
-
-def flat_points(host: HostMesh) -> tuple[FloatArray, PlaneFrame | None]:
-    """Points as the engine takes them: planar triangles in space get coordinates in their plane."""
-    points, cells = mesh_arrays(host.points, host.cells)
-    if points.shape[1] == cells.shape[1] - 1:
-        return points, None
-    frame = plane_frame(points, cells)
-    return (points, None) if frame is None else (frame.to_plane(points), frame)
 
 
 def _in_frame(options: Options, frame: PlaneFrame | None) -> Options:

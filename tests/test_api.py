@@ -17,6 +17,7 @@ import option_table
 import pytest
 import surface_meshes as sm
 import tet_meshes as tm
+from scipy.spatial import Delaunay
 
 import odt_plugins
 from odt_plugins import api, roundtrip
@@ -396,3 +397,19 @@ def test_no_cell_of_the_result_is_turned_over(seed):
     points, cells = tm.ball(400, seed)
     new_points, new_cells = odt_plugins.optimize((points, cells), smoothing={"cycles": 1})
     assert (tm.signed_volumes(new_points, new_cells) > 0).all()
+
+
+@pytest.mark.parametrize("tilted", [False, True])
+def test_places_of_triangles_in_a_plane_of_space_are_told_in_space(tilted):
+    flat = np.random.default_rng(2).random((60, 2))
+    cells = Delaunay(flat).simplices
+    points = np.array([30.0, 10.0, 20.0]) + np.insert(flat, 0, 0.0, axis=1)
+    if tilted:
+        points = points @ np.linalg.qr(np.arange(9.0).reshape(3, 3) ** 2 + np.eye(3))[0]
+    _, report = odt_plugins.remesh_with_report((points, cells), cells=400, boundary="fixed")
+    with pytest.raises(InvalidOptionError, match="index 0") as told:
+        odt_plugins.remesh((points, cells), lambda x: np.zeros(len(x)))
+    for text, known in ((report.notes[-1], points), (str(told.value), points[:1])):
+        place = np.array(re.search(r"(?:near|at) \((.*?)\)", text)[1].split(","), float)
+        assert len(place) == 3
+        assert np.abs(known - place).max(axis=1).min() < (0.3 if len(known) > 1 else 1e-3)

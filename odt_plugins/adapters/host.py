@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from types import MappingProxyType
 from typing import Any, NamedTuple, Protocol
@@ -15,7 +15,10 @@ from numpy.typing import NDArray
 from odt_plugins.adapters.colours import in_kind, varies
 from odt_plugins.adapters.regions import are_whole
 from odt_plugins.errors import InvalidOptionError, ODTError
+from odt_plugins.mesh.arrays import FloatArray
 from odt_plugins.mesh.facets import row_keys
+from odt_plugins.mesh.plane import PlaneFrame, places_in_space, plane_frame
+from odt_plugins.mesh.simplex import diagonal, mesh_arrays
 
 SET_VERTEX, NAMED_VERTEX = "vertex of point set", "vertex named by its file"
 """Kind of kept cells of a vertex each, with the name of the set behind it."""
@@ -451,6 +454,23 @@ def words_of(host: HostMesh) -> Iterator[None]:
         said = type(exc)(text)
         said.__dict__.update(exc.__dict__)
         raise said from exc
+
+
+def flat_points(host: HostMesh) -> tuple[FloatArray, PlaneFrame | None]:
+    """Points as the engine takes them: planar triangles in space get coordinates in their plane."""
+    points, cells = mesh_arrays(host.points, host.cells)
+    if points.shape[1] == cells.shape[1] - 1:
+        return points, None
+    frame = plane_frame(points, cells)
+    return (points, None) if frame is None else (frame.to_plane(points), frame)
+
+
+def with_places(host: HostMesh, points: FloatArray, frame: PlaneFrame | None) -> HostMesh:
+    """The mesh in whose words places in its plane are places in space."""
+    if frame is None:
+        return host
+    extent = diagonal(points)
+    return replace(host, words=lambda text: places_in_space(host.words(text), frame, extent))
 
 
 def expect_tetrahedra(host: HostMesh, insert: bool | float) -> None:

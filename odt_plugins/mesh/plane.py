@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.errors import InvalidMeshError, counted
+from odt_plugins.errors import InvalidMeshError, counted, place_within
 from odt_plugins.mesh.arrays import FloatArray
 from odt_plugins.mesh.simplex import vertices_of
 
 FLATNESS = 1e-6
 """Largest distance from the plane, relative to the bounding-box diagonal of the used vertices."""
+
+PLACE = re.compile(r"\b(near|around|at) \(([-+.e\d]+), ([-+.e\d]+)\)")
+"""A place in a plane as sentences tell it."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +49,18 @@ class PlaneFrame:
             return out
         u, v = coordinates[:, :1], coordinates[:, 1:]
         return np.asarray(self.origin + u * self.axes[0] + v * self.axes[1])
+
+
+def places_in_space(text: str, frame: PlaneFrame | None, extent: float) -> str:
+    """Tell places in a plane as places in space; ``extent`` is that of the mesh."""
+    if frame is None:
+        return text
+
+    def told(found: re.Match[str]) -> str:
+        place = frame.to_space(np.array([[float(found[2]), float(found[3])]]))[0]
+        return f"{found[1]} ({place_within(extent, place, 6)})"
+
+    return PLACE.sub(told, text)
 
 
 def plane_frame(points: FloatArray, cells: NDArray[np.integer]) -> PlaneFrame | None:

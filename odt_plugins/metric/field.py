@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from odt_plugins.adapters.fields import numbers
-from odt_plugins.adapters.host import HostMesh, words_of
+from odt_plugins.adapters.host import HostMesh, flat_points, words_of
 from odt_plugins.adapters.registry import find_adapter
 from odt_plugins.engine.cells.content import CONTENT
 from odt_plugins.engine.cells.elementary import power
@@ -24,7 +24,6 @@ from odt_plugins.metric.given import MOST_RATIO
 from odt_plugins.metric.hessian import Tangents, recovered_hessians, tangents
 from odt_plugins.metric.implied import star_means
 from odt_plugins.metric.limits import GROWTH, bounded_metric, grown_metric
-from odt_plugins.roundtrip import flat_points
 
 NOTHING = 1e-8
 """Second derivative times the squared diagonal, as a part of the range of the field, below which
