@@ -93,6 +93,9 @@ def conserved(
                 for i, count in enumerate((len(before.points), len(after.points))))
     if not cells.names and not new.names:
         return {}, {}
+    unit, units = _units(cells.values), _units(np.concatenate([old.values, new.values]))
+    cells, old, new = (part._replace(values=np.ldexp(part.values, -power))
+                       for part, power in ((cells, unit), (old, units), (new, units)))
     label = compact_labels(before.bodies(), len(before.cells)).astype(np.int64)
     here = label[after.source]
     changed = _changed(before, after)
@@ -113,6 +116,7 @@ def conserved(
     may[changed] = True
     _make_up_cells(values, cells.values, sizes, (label, here), may)
     _make_up_points(fields, old.values, sizes, (before.cells, after.cells), (label, here), may)
+    values, fields = np.ldexp(values, unit), np.ldexp(fields, units)
     return (_arrays(values, cells.names, of_cells),
             _arrays(fields, new.names, {name: pair[0] for name, pair in of_points.items()}))
 
@@ -135,6 +139,11 @@ def _columns(arrays: Mapping[str, NDArray[Any]], count: int) -> _Columns:
             last += part.shape[1]
     parts.append(np.zeros((count, 0)))
     return _Columns(np.ascontiguousarray(np.concatenate(parts, axis=1)), names)
+
+
+def _units(values: FloatArray) -> NDArray[np.int32]:
+    """Powers of two (c,) by which columns are about 1 at most, so that no sum is out of range."""
+    return np.asarray(np.frexp(np.abs(values).max(axis=0, initial=0.0))[1], dtype=np.int32)
 
 
 def _arrays(

@@ -42,17 +42,23 @@ def changed_integrals(arrays: Pairs, before: Mesh, after: Mesh) -> dict[str, flo
                     for values, size in zip(pair, sizes, strict=True))
         if not (np.isfinite(old).all() and np.isfinite(new).all()):
             continue
-        total = (sizes[0][:, None] * old).sum(axis=0)
-        change = np.abs((sizes[1][:, None] * new).sum(axis=0) - total)
-        size = (sizes[0][:, None] * np.abs(old)).sum(axis=0)
-        told = change > SAME * size
-        if told.any():
-            with np.errstate(divide="ignore"):
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            total = (sizes[0][:, None] * old).sum(axis=0)
+            change = np.abs((sizes[1][:, None] * new).sum(axis=0) - total)
+            size = (sizes[0][:, None] * np.abs(old)).sum(axis=0)
+            told = change > SAME * size
+            if told.any():
                 out[name] = float((change[told] / size[told]).max())
     return out
 
 
 def of_points(arrays: Pairs, before: Mesh, after: Mesh) -> Pairs:
-    """Means over the corners of every cell of values (n, ...), (n', ...) at the vertices."""
-    return {name: (old[before[1]].mean(axis=1), new[after[1]].mean(axis=1))
-            for name, (old, new) in arrays.items()}
+    """Means over the corners of every cell of values (n, ...), (n', ...) at the vertices.
+
+    Means that are out of range are not finite.
+    """
+    wide = {name: tuple(values.astype(np.result_type(values, np.float64)) for values in pair)
+            for name, pair in arrays.items()}
+    with np.errstate(over="ignore", invalid="ignore"):
+        return {name: (old[before[1]].mean(axis=1), new[after[1]].mean(axis=1))
+                for name, (old, new) in wide.items()}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from fractions import Fraction
 from itertools import pairwise
 
@@ -374,3 +375,22 @@ def test_arrays_of_blocks_keep_their_types_with_their_integrals(kinds):
         "one": [np.ones(len(part), kind) for part, kind in zip(parts, kinds, strict=True)]})
     finer = odt_plugins.remesh(mesh, scale=0.8, fields="conserve", regions=None)
     assert [values.dtype for values in finer.cell_data["one"]] == [np.dtype(kind) for kind in kinds]
+
+
+@pytest.mark.parametrize(("unit", "kind"), [(1e-310, "f8"), (1.5e308, "f8"), (3e38, "f4")])
+@pytest.mark.parametrize("fields", ["conserve", "interpolate"])
+def test_units_of_fields_do_not_matter(unit, kind, fields):
+    points = np.random.default_rng(5).random((60, 2))
+    cells = Delaunay(points).simplices
+    place = {}
+    for name, scale in (("plain", 1.0), ("far", unit)):
+        mesh = meshio.Mesh(points, [("triangle", cells)], {
+            "x": (scale * points[:, 0]).astype(kind)}, {
+            "c": [(scale * points[cells[:, 0], 0]).astype(kind)]})
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            finer = odt_plugins.remesh(mesh, scale=0.8, fields=fields)
+        place[name] = [values.astype(float) / scale for values in (
+            finer.point_data["x"], finer.cell_data["c"][0])]
+    for plain, far in zip(*place.values(), strict=True):
+        np.testing.assert_allclose(far, plain, rtol=1e-5, atol=1e-9)
