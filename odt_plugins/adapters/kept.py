@@ -111,6 +111,7 @@ def protect(
             inner += [facets[exposed]] if exposed.any() else []
         elif resized and kind.startswith(SET_VERTEX):
             facets, own = _facets_of(mesh, rows.ravel()), np.intersect1d(rows, mesh.cells)
+            own = np.setdiff1d(own, np.concatenate(loose))
             if 2 * len(facets) > len(own) and np.isin(own, facets).all():
                 named.append((facets, np.zeros(len(facets), dtype=np.int64)))
                 continue

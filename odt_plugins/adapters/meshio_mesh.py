@@ -284,7 +284,7 @@ def _coupled(mesh: Any) -> NDArray[np.int64] | None:
 def _sets_of(
     mesh: Any, cells: NDArray[Any], labels: NDArray[Any] | None, shape: Lattice | None
 ) -> list[tuple[str, NDArray[Any], NDArray[Any]]]:
-    """Name and vertices of every point set, and the cells that fill it if it is a volume."""
+    """Name of every point set, its vertices of cells, and the cells that fill it if a volume."""
     out = []
     there = ((cells >= 0) & (cells < len(mesh.points))).all(axis=1)
     cells = walls = cells[there].astype(np.int64)
@@ -293,7 +293,7 @@ def _sets_of(
         walls = walls_of(cells, known, len(mesh.points), shape)
     for name, members in mesh.point_sets.items():
         given = indices(members)
-        given = given[(given >= 0) & (given < len(mesh.points))]
+        given = given[np.isin(given, cells)]
         around = cells, walls, len(mesh.points), shape
         out.append((name, of_corners(given, *around), whole_cells(given, *around)))
     return out

@@ -39,7 +39,8 @@ def with_added(
 
     A point that was added is in the set where the corners of the input around it all are: those
     of a cell where most points of the set are in cells that it has as a whole, those of the facet
-    on the boundary or an interface next to it where most are in such facets.
+    on the boundary or an interface next to it where most are in such facets. Points of the set
+    that are of no cell, as those of cells beside, do not count.
 
     Parameters
     ----------
@@ -59,6 +60,7 @@ def with_added(
     placed, near = vertices.placed[new], vertices.corners[new]
     shape, corners = host.shape, host.cells.shape[1]
     cells = np.asarray(host.cells if host.nodes is None else host.nodes, dtype=np.int64)
+    members = members[np.isin(members, cells)]
     walls, outer = _walls(cells, host.regions, n, shape)
     joins: NDArray[np.bool_] = np.zeros(len(placed), dtype=np.bool_)
     whole = whole_cells(members, cells, walls, n, shape)

@@ -180,3 +180,43 @@ def test_facets_that_triangles_share_with_quadrilaterals_of_a_model_stay():
         assert before
     finally:
         gmsh.finalize()
+
+
+def layered(dim, layers):
+    """Two squares or cubes, with layers of quadrilaterals or wedges from one to the other."""
+    points, [(kind, cells), (other, rows)] = extruded(False, dim)
+    side = np.unique(rows[:, :dim])
+    place = np.zeros(len(points), dtype=int)
+    place[side] = np.arange(len(side))
+    ends = np.concatenate([side[None], cells.max() + 1 + np.arange(layers * len(side)).reshape(
+        layers, -1)])
+    box = points[: cells.max() + 1]
+    step = np.eye(dim)[0] / layers
+    mirrored = box * [-1, *[1] * (dim - 1)] + 3 * np.eye(dim)[0]
+    number = np.cumsum(~np.isin(np.arange(len(box)), side)) + ends[-1, -1]
+    number[side] = ends[-1]
+    one, two = (level[:, place[rows[:, :dim]]] for level in (ends[:-1], ends[1:]))
+    if dim == 2:
+        two = two[..., ::-1]
+    points = np.concatenate([box, *(box[side] + step * i for i in range(1, layers + 1)),
+                             np.delete(mirrored, side, axis=0)])
+    twin = number[cells][:, [1, 0, *range(2, dim + 1)]]
+    return points, [(kind, np.concatenate([cells, twin])),
+                    (other, np.concatenate([one, two], axis=2).reshape(-1, 2 * dim))]
+
+
+@pytest.mark.parametrize("layers", [1, 30])
+@pytest.mark.parametrize("dim", [2, 3])
+def test_point_sets_that_go_on_into_other_shapes_are_resized(dim, layers):
+    points, blocks = layered(dim, layers)
+    sets = {"all": np.arange(len(points)), "side": np.flatnonzero(points[:, 1] == 0.0),
+            "part": np.flatnonzero((points[:, 1] == 0.0) & (points[:, 0] <= 2.0))}
+    mesh = meshio.Mesh(points, blocks, point_sets=sets)
+    for scale in (0.5, 2):
+        found, report = odt_plugins.remesh_with_report(mesh, scale=scale, free="periodic")
+        side = np.abs(found.points[:, 1]) < 1e-6
+        expected = {"all": np.arange(len(found.points)), "side": np.flatnonzero(side),
+                    "part": np.flatnonzero(side & (found.points[:, 0] < 2.0 + 1e-6))}
+        assert {name: np.sort(found.point_sets[name]).tolist() for name in sets} == {
+            name: rows.tolist() for name, rows in expected.items()}
+        assert not [note for note in report.notes if "point set" in note]
