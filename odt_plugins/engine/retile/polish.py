@@ -16,7 +16,7 @@ from odt_plugins.engine.surface.passes import Surface, SurfaceDescent
 from odt_plugins.engine.topology.star import vertex_stars
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.mesh.facets import row_keys
-from odt_plugins.mesh.surface import Edges, surface_edges
+from odt_plugins.mesh.surface import Edges, opposed, surface_edges
 from odt_plugins.promise.surface import bad_places
 
 POLISHES = 4
@@ -26,7 +26,8 @@ POLISHES = 4
 def polish(net: Net, rules: Rules, metric: FloatArray) -> None:
     """Lower F_p of a net without free slots by flips, Newton steps and compound moves.
 
-    Vertices on tracks stay, and those where the surface would fold back otherwise.
+    Vertices on tracks stay, and those where the surface would fold back otherwise. Triangles that
+    disagree about the outside, as where a third one at their edge stays, are no neighbours.
 
     Parameters
     ----------
@@ -37,6 +38,7 @@ def polish(net: Net, rules: Rules, metric: FloatArray) -> None:
     n, m = int(net.count[0]), int(net.count[1])
     edges = surface_edges(net.triangles[:m], n)
     known = edges.vertices[bad_places(net.points[:n, :3], net.triangles[:m], edges)[1]]
+    edges.neighbors[np.isin(edges.of_cell, opposed(edges))] = -1
     folded = np.zeros(n, dtype=np.bool_)
     for _ in range(POLISHES):
         sheet, mark = _polished(net, rules, metric, edges, folded)

@@ -162,6 +162,27 @@ def test_three_sheets_at_one_edge_stay_three():
     assert np.linalg.norm(three[:, 1] - three[:, 0], axis=1).sum() == pytest.approx(2.0)
 
 
+def test_of_three_sheets_at_one_edge_two_get_other_sizes():
+    x, y = (v.ravel() for v in np.meshgrid(np.linspace(0.0, 1.0, 9), np.linspace(-1.0, 1.0, 17)))
+    first, rows = np.arange(0, 9 * 17, 9), []
+    for i in range(16):
+        for j in first[i] + np.arange(8):
+            rows += [[j, j + 1, j + 10], [j, j + 10, j + 9]]
+    sheets = [np.column_stack([x * np.cos(t), y, x * np.sin(t)]) for t in (0.0, 2.0, 4.0)]
+    number = [np.arange(9 * 17) + 9 * 17 * i for i in range(3)]
+    for own in number[1:]:
+        own[first] = first
+    cells = np.concatenate([own[np.array(rows)] for own in number])
+    selection = np.flatnonzero((cells < 2 * 9 * 17).all(axis=1))
+    mesh, outcome, _ = resized(np.concatenate(sheets), cells, 2.0, selection=selection)
+    edges = surface_edges(outcome.cells, len(outcome.points))
+    assert (edges.degree == 3).sum() == 16
+    kept = {*map(tuple, np.sort(mesh.points[cells[len(selection):]].reshape(-1, 9)).tolist())}
+    now = {*map(tuple, np.sort(outcome.points[outcome.cells].reshape(-1, 9)).tolist())}
+    assert kept <= now
+    assert len(outcome.cells) < 0.7 * len(cells)
+
+
 def test_no_vertex_may_go_where_two_lines_would_become_one():
     # a triangle of three straight rims: one cell is the coarsest
     points = np.array([[0.0, 0], [4, 0], [2, 3.5], [2, 0], [3, 1.75], [1, 1.75]])
