@@ -91,11 +91,11 @@ def link(place, monkeypatch):
     odt_plugins.remesh(mesh, scale=2, free="periodic")
 
 
-def point_set(place, monkeypatch):
+def point_data(place, monkeypatch):
     monkeypatch.setattr(plan, "run", contract.churn)
     points, cells, _ = contract.grid(2, 3)
     nodes, rows = quadratic_meshes.widened(points, cells)
-    mesh = meshio.Mesh(nodes, [("triangle6", rows)], point_sets={"all": np.arange(1, len(nodes))})
+    mesh = meshio.Mesh(nodes, [("triangle6", rows)], point_data={"id": np.arange(len(nodes))})
     odt_plugins.optimize(mesh)
 
 
@@ -198,7 +198,7 @@ CASES = {
     "adapters/files.py": (dropped, unknown),
     "adapters/formats/medit_solution.py": (of_another_mesh,),
     "adapters/formats/xdmf.py": (edges,),
-    "adapters/higher_order.py": (point_set,),
+    "adapters/higher_order.py": (point_data,),
     "adapters/point_sets.py": (link,),
     "adapters/wedges.py": (seams,),
     "adapters/pymeshlab_copy.py": (curvature,),

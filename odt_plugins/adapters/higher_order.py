@@ -11,7 +11,6 @@ indices above them close up.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from typing import Any, NamedTuple
@@ -479,29 +478,4 @@ def shape_values(shape: Lattice, weights: NDArray[np.float64]) -> NDArray[np.flo
     out: NDArray[np.float64] = np.stack(
         [np.prod([at[a, :, i] for i, a in enumerate(node)], axis=0) for node in shape.tolist()],
         axis=1)
-    return out
-
-
-def renumbered(mapping: Mapping[str, Any], q: HigherOrder) -> dict[str, Any]:
-    """Sets of nodes by name in the new numbering; a set of all nodes is one of all again.
-
-    Warns
-    -----
-    DataNotKeptWarning    a node of a set is gone
-    """
-    out = {}
-    for name, members in mapping.items():
-        raw = np.asarray(members)
-        given = np.flatnonzero(raw) if raw.dtype == np.bool_ else raw.astype(np.int64)
-        if len(np.unique(given)) == len(q.number):
-            out[name] = as_indices(np.arange(len(q.points)), raw)
-            continue
-        new = q.number[given]
-        out[name] = as_indices(new[new >= 0], raw)
-        if (new < 0).any():
-            msg = (
-                f"point set {name!r} loses {int((new < 0).sum())} mid-nodes whose edges were "
-                "flipped away; try smoothing={'connectivity': 'none'}, finish=False"
-            )
-            warn(msg, DataNotKeptWarning)
     return out

@@ -29,7 +29,6 @@ from odt_plugins.adapters.higher_order import (
     lattice,
     order_of,
     placed_nodes,
-    renumbered,
     with_mid_nodes,
 )
 from odt_plugins.adapters.host import (
@@ -55,6 +54,7 @@ from odt_plugins.adapters.point_sets import (
     whole_cells,
     with_added,
     with_links,
+    with_nodes,
 )
 from odt_plugins.adapters.regions import AUTO, Labels, region_labels
 from odt_plugins.adapters.wedges import TEXTURE, carried, of_vertices, slid, texture_of
@@ -402,7 +402,7 @@ def _with_mid_nodes(
         else:
             out.point_data[name] = carried_point_data(
                 name, np.asarray(values), q, placed if name in host.fields else None)
-    out.point_sets = renumbered(out.point_sets, q)
+    out.point_sets = with_nodes(out.point_sets, host, result, q)
     return Result(q.points, q.cells, result.source), q.origin
 
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import combinations
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from odt_plugins.adapters.formats.decks import indices
+from odt_plugins.adapters.higher_order import HigherOrder
 from odt_plugins.adapters.host import (
     CREASE,
     INSIDE,
@@ -86,6 +88,36 @@ def with_added(
                  for facets in (walls, sheet)]
     joins[own] |= away_from[1] < away_from[0] + slack
     return np.concatenate([number, placed[joins]])
+
+
+def with_nodes(
+    mapping: Mapping[str, Any], host: HostMesh, result: Result, q: HigherOrder
+) -> dict[str, Any]:
+    """Sets of nodes of cells of higher order by name, with nodes of new places.
+
+    Such a node lies in the cell of the input from which one around it comes. A set of all nodes is
+    one of all again.
+
+    Parameters
+    ----------
+    mapping : dict             sets of the input
+    host : HostMesh            of the input
+    result : Result            of the corners
+    q : HigherOrder            all nodes of that result
+    """
+    near = np.zeros(len(q.points), dtype=np.int64)
+    near[q.cells] = result.source[:, None]
+    new = np.flatnonzero(q.origin < 0)
+    around = np.asarray(host.nodes)[near[new]].astype(np.int32)
+    vertices = NewVertices(q.origin, q.number, new, around, np.ones(around.shape))
+    of_nodes = Result(q.points, q.cells, result.source)
+    out = {}
+    for name, members in mapping.items():
+        given = indices(members)
+        whole = len(np.unique(given)) == len(q.number)
+        out[name] = as_indices(np.arange(len(q.points)) if whole else with_added(
+            given, host, of_nodes, vertices), np.asarray(members))
+    return out
 
 
 def with_links(

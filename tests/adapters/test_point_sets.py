@@ -4,6 +4,8 @@ indices have a type that holds them.
 
 from __future__ import annotations
 
+import warnings
+
 import boxes
 import meshio
 import numpy as np
@@ -67,6 +69,28 @@ def test_a_set_of_the_boundary_has_no_new_vertices_inside_an_interface_that_ends
     np.testing.assert_array_equal(np.sort(after.point_sets["skin"]), skin)
     both = np.union1d(skin, np.intersect1d(new[right], new[~right]))
     np.testing.assert_array_equal(np.sort(after.point_sets["both"]), both)
+
+
+@pytest.mark.parametrize("fields", ["interpolate", "keep"])
+def test_sets_of_volumes_have_the_nodes_of_edges_that_flips_make(fields):
+    points, rows = boxes.quadratic(*boxes.box(3, 5, plane=0.6))
+    label = (points[rows[:, :4]].mean(axis=1)[:, 0] > 0.6).astype(int)
+    sets = {"all": np.arange(len(points)),
+            **{str(k): np.unique(rows[label == k]) for k in range(2)}}
+    some = np.unique(rows[:, 4:])[::30]
+    mesh = meshio.Mesh(points, [("tetra10", rows)], cell_data={"material": [label]},
+                       point_sets={**sets, "some": some})
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        out = optimize(mesh, fields=fields)
+    now, own = out.cells[0].data, out.cell_data["material"][0]
+    assert not {*map(tuple, np.sort(now[:, :4]).tolist())} <= {
+        *map(tuple, np.sort(rows[:, :4]).tolist())}
+    wanted = {"all": np.arange(len(out.points)),
+              **{str(k): np.unique(now[own == k]) for k in range(2)}}
+    for name, members in wanted.items():
+        np.testing.assert_array_equal(np.sort(out.point_sets[name]), members, err_msg=name)
+    np.testing.assert_array_equal(out.points[out.point_sets["some"]], points[some])
 
 
 @pytest.mark.parametrize("quadratic", [False, True])
