@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.adapters.formats.decks import indices
-from odt_plugins.adapters.higher_order import HigherOrder
+from odt_plugins.adapters.higher_order import HigherOrder, shape_values
 from odt_plugins.adapters.host import (
     CREASE,
     INSIDE,
@@ -32,6 +32,9 @@ SMOOTH = 0.9
 
 SLACK = 0.1
 """How much further than the nearest facet one that a point is on may be, by the shortest edge."""
+
+FINE = 4
+"""Into how many flat pieces an edge of a curved facet is cut for distances from it."""
 
 
 def with_added(
@@ -84,8 +87,8 @@ def with_added(
     points, own = result.points.astype(np.float64), np.flatnonzero(on[placed])
     before = host.points.astype(np.float64)
     slack = SLACK * _shortest(points, np.asarray(result.cells))[placed[own]]
-    away_from = [_nearest(points[placed[own]], near[own], before, facets[:, : corners - 1])
-                 for facets in (walls, sheet)]
+    away_from = [_nearest(points[placed[own]], near[own], facets[:, : corners - 1],
+                          _pieces(before, facets, shape)) for facets in (walls, sheet)]
     joins[own] |= away_from[1] < away_from[0] + slack
     return np.concatenate([number, placed[joins]])
 
@@ -188,14 +191,43 @@ def of_corners(
 
 
 def _nearest(
-    places: NDArray[np.float64], near: NDArray[np.integer], points: NDArray[np.float64],
-    facets: NDArray[np.int64],
+    places: NDArray[np.float64], near: NDArray[np.integer], facets: NDArray[np.int64],
+    pieces: list[NDArray[np.float64]],
 ) -> NDArray[np.float64]:
-    """Distance (k,) of every place (k, D) from those facets (q, r) at its points `near` (k, c)."""
-    row, facet = _around(near, facets, len(points))
+    """Distance (k,) of every place (k, D) from the pieces of those facets (q, r) at its points
+    `near` (k, c).
+    """
+    row, facet = _around(near, facets, int(max(facets.max(initial=0), near.max(initial=0))) + 1)
     out = np.full(len(places), np.inf)
-    np.minimum.at(out, row, _distances(places[row], points[facets[facet]]))
+    for piece in pieces:
+        np.minimum.at(out, row, _distances(places[row], piece[facet]))
     return out
+
+
+def _pieces(
+    points: NDArray[np.float64], facets: NDArray[np.int64], shape: NDArray[np.int64] | None
+) -> list[NDArray[np.float64]]:
+    """Corners (q, r, D) of the flat pieces of facets; one each where all of them are flat."""
+    if shape is None:
+        return [points[facets]]
+    own = _facet_nodes(shape)[0][1]
+    corners = own.shape[1]
+    flat = points[facets[:, :corners]]
+    middle = np.einsum("kc,qcx->qkx", own / own[0, 0], flat)
+    if np.allclose(points[facets], middle, rtol=0.0, atol=ZERO * np.ptp(points)):
+        return [flat]
+    steps = np.arange(FINE + 1)
+    at = np.stack(np.meshgrid(*[steps] * (corners - 1), indexing="ij"), axis=-1)
+    at = at.reshape(-1, corners - 1)
+    weights = np.column_stack([FINE - at.sum(axis=1), at]) / FINE
+    bent = np.einsum("kc,qcx->qkx", shape_values(own, weights), points[facets])
+    if corners == 2:
+        return [bent[:, [i, i + 1]] for i in range(FINE)]
+    wide = FINE + 1
+    first = [wide * i + j for i in range(FINE) for j in range(FINE - i)]
+    return [*(bent[:, [k, k + wide, k + 1]] for k in first),
+            *(bent[:, [k + wide, k + wide + 1, k + 1]] for k in first
+              if k // wide + k % wide < FINE - 1)]
 
 
 def _around(
@@ -248,10 +280,22 @@ def _filled(rows: NDArray[np.integer], members: NDArray[np.integer], n: int) -> 
 
 
 def _facets(cells: NDArray[np.integer], shape: NDArray[np.int64] | None) -> NDArray[np.int64]:
-    """Facets of cells (m, k) with all their nodes, corners first, those of every side together."""
+    """Facets of cells (m, k) with all their nodes in one order, those of every side together."""
     weights = np.eye(cells.shape[1], dtype=np.int64) if shape is None else shape
-    return np.concatenate([cells[:, weights[:, i] == 0] for i in range(weights.shape[1])]).astype(
-        np.int64)
+    return np.concatenate([cells[:, nodes] for nodes, _ in _facet_nodes(weights)]).astype(np.int64)
+
+
+def _facet_nodes(
+    shape: NDArray[np.int64]
+) -> list[tuple[NDArray[np.intp], NDArray[np.int64]]]:
+    """Nodes of every side of a cell, corners first, and their weights, which are alike for all."""
+    out = []
+    for i in range(shape.shape[1]):
+        nodes = np.flatnonzero(shape[:, i] == 0)
+        own = np.delete(shape[nodes], i, axis=1)
+        order = np.lexsort((*-own.T[::-1], (own > 0).sum(axis=1) > 1))
+        out.append((nodes[order], own[order]))
+    return out
 
 
 def _keys(facets: NDArray[np.int64], n: int, shape: NDArray[np.int64] | None) -> NDArray[np.int64]:

@@ -71,6 +71,23 @@ def test_a_set_of_the_boundary_has_no_new_vertices_inside_an_interface_that_ends
     np.testing.assert_array_equal(np.sort(after.point_sets["both"]), both)
 
 
+@pytest.mark.parametrize(("n", "scale"), [(3, 0.35), (5, 0.35), (3, 0.7)])
+def test_sets_of_curved_sides_have_the_new_nodes_of_their_rims(n, scale):
+    cube, rows = boxes.quadratic(*boxes.box(3, n))
+    radius, angle = 0.5 + cube[:, 0], 0.5 * np.pi * cube[:, 1]
+    points = np.stack([radius * np.cos(angle), radius * np.sin(angle), cube[:, 2]], axis=1)
+
+    def sides(x):
+        radius = np.hypot(x[:, 0], x[:, 1])
+        return {"bore": radius < 0.515, "skin": radius > 1.485, "ring": x[:, 2] < 1e-9}
+
+    sets = {name: np.flatnonzero(inside) for name, inside in sides(points).items()}
+    after = remesh(meshio.Mesh(points, [("tetra10", rows)], point_sets=sets), scale=scale)
+    for name, inside in sides(after.points).items():
+        np.testing.assert_array_equal(np.sort(after.point_sets[name]), np.flatnonzero(inside),
+                                      err_msg=name)
+
+
 @pytest.mark.parametrize("fields", ["interpolate", "keep"])
 def test_sets_of_volumes_have_the_nodes_of_edges_that_flips_make(fields):
     points, rows = boxes.quadratic(*boxes.box(3, 5, plane=0.6))
