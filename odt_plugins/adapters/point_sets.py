@@ -308,9 +308,10 @@ def depths(
     points: NDArray[np.floating], cells: NDArray[np.integer],
     labels: NDArray[np.integer] | None, shape: NDArray[np.int64] | None = None,
 ) -> NDArray[np.int8]:
-    """How far inside (n,) points are."""
+    """How far inside (n,) points are; those of no cell, as of cells beside, are outside."""
     n = len(points)
-    out = np.full(n, INSIDE, dtype=np.int8)
+    out = np.full(n, OUTSIDE, dtype=np.int8)
+    out[cells] = INSIDE
     walls, outer = _walls(cells, labels, n, shape)
     out[walls] = INTERFACE
     walls = walls[outer]

@@ -35,6 +35,22 @@ def test_new_vertices_inside_have_no_marker_of_the_boundary(kind):
     assert np.array_equal(made.point_data["where"], np.where(rim, "rim", "inside"))
 
 
+@pytest.mark.parametrize("kind", ["linear", "quadratic", "plane"])
+@pytest.mark.parametrize("beside", [[], [("line", np.array([[0, 9]]))]])
+def test_markers_of_vertices_beside_the_cells_do_not_count(kind, beside):
+    points, cells = box(2 if kind == "plane" else 3, 5)
+    if kind == "quadratic":
+        points, cells = quadratic(points, cells)
+    name = {4: "tetra", 3: "triangle", 10: "tetra10"}[cells.shape[1]]
+    far = np.concatenate([points[:1] + 5.0, points])
+    mesh = meshio.Mesh(far, [(name, cells + 1), *beside],
+                       point_data={"bc": np.append(9, on_rim(points) * 7)})
+    made = remesh(mesh, scale=0.6)
+    there = (made.points <= 1.0 + 1e-9).all(axis=1)
+    assert there.sum() > 1.3 * len(points)
+    assert np.array_equal(made.point_data["bc"], np.where(there, on_rim(made.points) * 7, 9))
+
+
 def test_without_vertices_inside_only_markers_of_formats_are_none():
     points, cells = box(3, 1)
     marks = {"tetgen:ref": np.full(len(points), 3), "other": np.full(len(points), 3)}
