@@ -283,14 +283,14 @@ def _prepare(mesh: Any, options: Options, wanted: Wanted) -> tuple[Prepared, Hos
             seen_host, options = without_others(seen_host, options, own)
         work = partial(_checked, adapter, flat, options, wanted)
         found = work(seen_host, keep_seams=keep_seams)
+        if found.tangle is not None and host.higher_order and (wanted.linear or options.insert):
+            msg = ("got inverted or flat cells of higher order; expected none where vertices "
+                   "come and go, try untangling the mesh first")
+            raise TangledMeshError(msg)
         if own is not None:
             notes = (*found.notes, note(len(host.cells) - len(own)))
             return found._replace(own=own, notes=notes), host
         if found.tangle is not None:
-            if host.higher_order and (wanted.linear or options.insert):
-                msg = ("got inverted or flat cells of higher order; expected none where vertices "
-                       "come and go, try untangling the mesh first")
-                raise TangledMeshError(msg)
             return found, host
         same = None if host.higher_order else same_places(host.points, host.cells.astype(np.int64))
         if same is None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from functools import partial
 from itertools import combinations
 
 import meshio
@@ -252,3 +253,13 @@ def test_inverted_cells_and_higher_orders_are_refused():
     assert len(list(combinations(range(4), 2))) == len(EDGES)
     with pytest.raises(UnsupportedMeshError, match="higher order"):
         remesh(meshio.Mesh(points, [("tetra20", np.arange(20)[None])]), scale=1)
+
+
+@pytest.mark.parametrize("run", [partial(remesh, scale=0.8),
+                                 partial(optimize_with_report, insert=True)])
+def test_tangled_cells_are_refused_beside_valid_ones_with_inverted_corners(run):
+    cube, rows = quadratic(*box(3, 5, seed=2))
+    radius, angle = 0.5 + cube[:, 0], 0.5 * np.pi * cube[:, 1]
+    points = np.stack([radius * np.cos(angle), radius * np.sin(angle), cube[:, 2]], axis=1)
+    with pytest.raises(TangledMeshError, match=r"cells of higher order.*untangling"):
+        run(meshio.Mesh(points, [("tetra10", rows)]))
