@@ -12,6 +12,7 @@ from odt_plugins.adapters.formats import gmsh_tables
 from odt_plugins.adapters.formats.decks import indices
 from odt_plugins.adapters.gmsh_files import same_names
 from odt_plugins.adapters.regions import are_whole
+from odt_plugins.errors import counted
 
 FAMILIES = ("cell_tags", "point_tags")
 """Numbers of the families of MED files, which are others in another file of the same groups."""
@@ -39,7 +40,7 @@ def not_kept(mesh: Any, back: Any) -> list[str]:
         one, two = np.unique(old, axis=0), np.unique(new, axis=0)
         fewer = len(one) - len(two)
         if fewer > 0 and len(np.unique(np.concatenate([one, two]), axis=0)) == len(one):
-            lost.append(f"{fewer} points of no cell")
+            lost.append(f"{counted(fewer, 'point')} of no cell")
         elif not np.array_equal(one, two, equal_nan=True):
             lost.append("the last digits of the coordinates")
     groups = group_names(mesh)

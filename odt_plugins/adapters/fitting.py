@@ -31,7 +31,7 @@ from odt_plugins.adapters.set_labels import (
     of_sets,
     within,
 )
-from odt_plugins.errors import UnsupportedMeshError
+from odt_plugins.errors import UnsupportedMeshError, counted
 
 
 class Form(NamedTuple):
@@ -188,8 +188,8 @@ def fitted(mesh: Any, name: str) -> tuple[Any, list[str]]:
     if not form.beside:
         main = next((kind for kind in MAIN if any(b.type == kind for b in out.cells)), None)
         others = {b.type for b in out.cells if main is not None and len(b.data)} - {main}
-        lost = [f"{sum(len(b.data) for b in out.cells if b.type == kind)} cells of type {kind}"
-                for kind in sorted(others)]
+        lost = [f"{counted(sum(len(b.data) for b in out.cells if b.type == kind), 'cell')} of type "
+                f"{kind}" for kind in sorted(others)]
         _choose(out, [i for i, b in enumerate(out.cells) if main in (None, b.type)])
     lines = form.lines and (name, dim) != ("su2", 3)
     for kind, held in (("vertex", form.vertices), ("line", lines), ("line3", form.bent)):
@@ -197,7 +197,7 @@ def fitted(mesh: Any, name: str) -> tuple[Any, list[str]]:
         if count and not held:
             if kind == "vertex" and form.sets:
                 out.point_sets = _points_of(out) | out.point_sets
-            lost.append(f"{count} cells of type {kind}")
+            lost.append(f"{counted(count, 'cell')} of type {kind}")
             _choose(out, [i for i, b in enumerate(out.cells) if b.type != kind])
     if name in ARRAYS:
         _sets_as_arrays(out, barred)

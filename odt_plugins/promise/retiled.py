@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from odt_plugins.errors import counted
 from odt_plugins.figures import cell_figures
 from odt_plugins.mesh.components import components
 from odt_plugins.mesh.faces import Faces
@@ -152,7 +153,8 @@ def _moved(
         keys = row_keys(np.concatenate(rows), size)
         gone = ~np.isin(keys[: len(rows[0])], keys[len(rows[0]) :])
         if gone.any():
-            sentences.append(f"{int(gone.sum())} frozen triangles are gone")
+            are = counted(int(gone.sum()), "frozen triangle is", "frozen triangles are")
+            sentences.append(f"{are} gone")
     return sentences
 
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from odt_plugins.errors import counted
 from odt_plugins.figures import measured, summarize
 from odt_plugins.mesh.components import components
 from odt_plugins.mesh.facets import row_keys
@@ -162,15 +163,15 @@ def _resewn(
     if len(turned):
         first = tuple(new.vertices[turned[0]].tolist())
         sentences.append(f"the triangles at edge {first} disagree about the outside, "
-                         f"{len(turned)} such edges")
+                         f"{counted(len(turned), 'such edge')}")
     keys = row_keys(np.sort(cells, axis=1), n)
     repeated = len(keys) - len(np.unique(keys))
     if repeated:
-        sentences.append(f"{repeated} triangles are there twice")
+        sentences.append(f"{counted(repeated, 'triangle is', 'triangles are')} there twice")
     differs = np.flatnonzero(_fans(old_cells, old, n) != _fans(cells, new, n))
     if len(differs):
         sentences.append(f"the triangles around vertex {differs[0]} form another number of fans, "
-                         f"{len(differs)} such vertices")
+                         f"{counted(len(differs), 'such vertex', 'such vertices')}")
     if not np.array_equal(_pieces(old, n), _pieces(new, n)):
         sentences.append("the connected pieces have other vertices than before")
     return sentences
@@ -229,12 +230,13 @@ def _folded(
                       for args in ((old_points, old_cells, old), (points, cells, new)))
     sentences = []
     if flat_now > flat:
-        sentences.append(f"{flat_now} triangles have no area, {flat} had none")
+        have = counted(flat_now, "triangle has", "triangles have")
+        sentences.append(f"{have} no area, {flat} had none")
     fresh = np.flatnonzero(new_folds(old_points, old_cells, old, points, cells, new, envelope))
     if len(fresh):
         first = tuple(new.vertices[fresh[0]].tolist())
         sentences.append(f"the surface folds back at edge {first}, where the input does not, "
-                         f"{len(fresh)} such edges")
+                         f"{counted(len(fresh), 'such edge')}")
     return sentences
 
 

@@ -100,12 +100,15 @@ def _curved_lines(facts: Mapping[str, float]) -> list[str]:
     text = ("curved {cells} cells; least scaled Jacobian {least_before:.4f} -> {least_after:.4f}, "
             "mean {mean_before:.4f} -> {mean_after:.4f}")
     lines = [text.format(**facts)]
-    if facts.get("folded"):
-        lines.append(f"note   {facts['folded']} curved cells that were valid are folded, since the "
-                     f"mesh was untangled; try repair='none', or moving what is inverted")
-    if facts["vertices_held"]:
-        lines.append(f"note   {facts['vertices_held']} vertices stay, since curved cells beside "
-                     f"them would be folded or have a smaller scaled Jacobian")
+    folded, held = int(facts.get("folded", 0)), int(facts["vertices_held"])
+    if folded:
+        cells = counted(folded, "valid curved cell is", "valid curved cells are")
+        lines.append(f"note   {cells} folded, since the mesh was untangled; try repair='none', or "
+                     f"moving what is inverted")
+    if held:
+        vertices = counted(held, "vertex stays", "vertices stay")
+        lines.append(f"note   {vertices}, since curved cells there would be folded or have a "
+                     f"smaller scaled Jacobian")
     return lines
 
 

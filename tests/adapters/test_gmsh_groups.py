@@ -163,7 +163,7 @@ def test_a_physical_point_does_not_stop_decks_and_is_a_node_set_in_abaqus(suffix
                  ("tetra", np.array([[0, 1, 2, 3]]))],
         cell_data={"gmsh:physical": [np.array([7]), np.array([8]), np.array([9])]},
         field_data={"pin": np.array([7, 0]), "wall": np.array([8, 2]), "body": np.array([9, 3])})
-    with pytest.warns(DataNotKeptWarning, match="1 cells of type vertex") as heard:
+    with pytest.warns(DataNotKeptWarning, match="1 cell of type vertex") as heard:
         write_file(tmp_path / f"out{suffix}", mesh)
     assert len(heard) == 1
     if suffix == ".inp":
@@ -181,7 +181,7 @@ def test_points_and_lines_that_a_format_lacks_are_left_out_by_number(suffix, tmp
     mesh = meshio.Mesh(POINTS, [("vertex", np.array([[2]])), ("line", np.array([[0, 1]])),
                                 ("triangle", np.array([[0, 1, 2]])),
                                 ("tetra", np.array([[0, 1, 2, 3]]))])
-    with pytest.warns(DataNotKeptWarning, match="1 cells of type vertex"):
+    with pytest.warns(DataNotKeptWarning, match="1 cell of type vertex"):
         write_file(tmp_path / f"out{suffix}", mesh)
     there = {block.type for block in read_file(tmp_path / f"out{suffix}").cells}
     assert {"tetra", "triangle"} <= there

@@ -119,7 +119,7 @@ def test_stl_takes_vertices_at_one_place_and_those_of_no_triangle(tmp_path):
     points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0.1],
                        [5, 5, 5]])
     mesh = meshio.Mesh(points, [("triangle", np.array([[0, 1, 2], [3, 5, 4]]))])
-    with pytest.warns(DataNotKeptWarning, match="does not keep 1 points of no cell; try"):
+    with pytest.warns(DataNotKeptWarning, match="does not keep 1 point of no cell; try"):
         write_file(tmp_path / "out.stl", mesh)
     back = read_file(tmp_path / "out.stl")
     assert np.array_equal(back.points[back.cells[0].data], points[mesh.cells[0].data])
@@ -139,7 +139,7 @@ def test_points_of_any_type_are_written(kind, suffix, tmp_path):
 def test_wkt_takes_the_triangles_of_a_mesh_with_lines(width, tmp_path):
     mesh = meshio.Mesh(np.eye(3)[:, :width], [("line", np.array([[0, 1]])),
                                               ("triangle", np.array([[0, 1, 2]]))])
-    with pytest.warns(DataNotKeptWarning, match="does not keep 1 cells of type line"):
+    with pytest.warns(DataNotKeptWarning, match="does not keep 1 cell of type line"):
         write_file(tmp_path / "out.wkt", mesh)
     back = read_file(tmp_path / "out.wkt")
     assert np.array_equal(back.points[back.cells[0].data][0, :, :width], mesh.points)

@@ -117,7 +117,7 @@ def test_other_sizes_keep_faces_edges_attributes_and_markers(dim, second, scale,
 def test_a_file_is_written_onto_itself_with_what_lies_beside(tmp_path):
     store(tmp_path / "a.ele")
     (tmp_path / "a.edge").write_text("1 1\n1 1 2 0\n")
-    with pytest.warns(DataNotKeptWarning, match="1 cells of type line without a marker in .edge"):
+    with pytest.warns(DataNotKeptWarning, match="1 cell of type line without a marker in .edge"):
         write_file(tmp_path / "a.ele", remesh(read_file(tmp_path / "a.ele"), scale=0.7))
     check(tmp_path / "a.ele", 3)
     assert (tmp_path / "a.edge").read_text() == "0 1\n"

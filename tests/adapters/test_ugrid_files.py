@@ -69,7 +69,7 @@ def test_points_that_stay_keep_all_digits_of_a_text(tmp_path):
 def test_other_cells_are_named_where_they_are_lost(tmp_path):
     mesh = box()
     mesh = meshio.Mesh(mesh.points, [*mesh.cells, ("line", [[0, 1]]), ("vertex", [[0]])])
-    with pytest.warns(DataNotKeptWarning, match="1 cells of type vertex, 1 cells of type line"):
+    with pytest.warns(DataNotKeptWarning, match="1 cell of type vertex, 1 cell of type line"):
         write_file(tmp_path / "a.ugrid", mesh)
 
 

@@ -61,7 +61,7 @@ BROKEN = {
         "cells": np.concatenate([m.cells[:1][:, [0, 0, 1]], m.cells[1:]])},
     "disagree about the outside": lambda m: {
         "cells": np.concatenate([m.cells[:1][:, [0, 2, 1]], m.cells[1:]])},
-    "triangles are there twice": lambda m: {
+    "triangle is there twice": lambda m: {
         "cells": np.concatenate([m.cells[1:2], m.cells[1:]])},
     "edges are not of two triangles": lambda m: {
         "cells": np.concatenate([m.cells[1:2], m.cells[1:]])},

@@ -22,7 +22,7 @@ from odt_plugins.adapters.formats.decks import (
     refuse_types,
     rows_of,
 )
-from odt_plugins.errors import MeshFileError
+from odt_plugins.errors import MeshFileError, counted
 
 REF, ATTRIBUTE = "tetgen:ref", "tetgen:attr"
 """Array of the markers of points and faces, and of the first attribute of cells; attributes of
@@ -154,7 +154,7 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
             data = _written(beside, [[{}] if keep else [] for keep in there])
         target.with_suffix(suffix).write_bytes(data)
         if gone:
-            lost.append(f"{gone} cells of type {kind} without a marker in {suffix}")
+            lost.append(f"{counted(gone, 'cell')} of type {kind} without a marker in {suffix}")
     stale = [suffix for suffix in STALE if source.with_suffix(suffix).is_file()]
     return lost + [f"{source.stem}{suffix}, which tells of neighbours" for suffix in stale]
 
