@@ -73,11 +73,17 @@ INSIDE = -1e-9
 """Least barycentric coordinate of a point that counts as inside a tetrahedron."""
 
 
+PLACES = ("vertices", "bg_vertices")
+"""Arguments of TetWild that are points."""
+
 LENGTHS = ("vertices", "edge_length_abs", "bg_vertices", "bg_values")
 """Arguments of TetWild in the unit of the surface."""
 
 USUAL = (1e-3, 1e6)
 """Diagonals of surfaces that TetWild gets as they are."""
+
+FAR = 10.0
+"""Diagonals from the origin beyond which TetWild gets a surface that begins there."""
 
 SIZES = ("size", "scale", "cells", "growth")
 """Arguments of :func:`odt_plugins.remesh` that follow TetWild."""
@@ -324,7 +330,10 @@ def run_tetwild(
     arguments = {name: value for name, value in given.items()
                  if usual[name].default is inspect.Parameter.empty
                  or value is not usual[name].default}
-    power = _power(given["vertices"])
+    power, origin = _power(given["vertices"]), _origin(given["vertices"])
+    for name in PLACES if np.any(origin) else ():
+        if arguments.get(name) is not None:
+            arguments[name] = np.asarray(arguments[name], dtype=np.float64) - origin
     for name in LENGTHS if power else ():
         if arguments.get(name) is not None:
             arguments[name] = np.ldexp(arguments[name], -power)
@@ -347,7 +356,7 @@ def run_tetwild(
     points, cells = result
     if not len(cells):
         raise InvalidMeshError(_no_tetrahedra("it gave an empty mesh"))
-    return np.ldexp(points, power) if power else points, cells
+    return (np.ldexp(points, power) if power else points) + origin, cells
 
 
 def _power(vertices: Any) -> int:
@@ -357,6 +366,18 @@ def _power(vertices: Any) -> int:
     """
     length = diagonal(vertices) if isinstance(vertices, np.ndarray) and vertices.size else 0.0
     return 0 if USUAL[0] <= length <= USUAL[1] else math.frexp(length)[1]
+
+
+def _origin(vertices: Any) -> NDArray[np.float64]:
+    """The least coordinates in magnitude where a surface is far from the origin, else 0.
+
+    TetWild leaves such a surface. Differences to coordinates of up to the double have no rounding.
+    """
+    if not isinstance(vertices, np.ndarray) or not vertices.size:
+        return np.zeros(3)
+    low, high = np.asarray([vertices.min(axis=0), vertices.max(axis=0)], dtype=np.float64)
+    near = np.where(low > 0.0, low, np.minimum(high, 0.0))
+    return np.where(np.abs(near) > FAR * diagonal(vertices), near, 0.0)
 
 
 def _run(folder: Path, quiet: bool, report: Progress | None) -> tuple[int, str]:

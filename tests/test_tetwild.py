@@ -131,6 +131,26 @@ def test_tetwild_gets_surfaces_of_usual_size(monkeypatch, power):
     assert np.array_equal(points, np.ldexp(mesh.points, power + back))
 
 
+def test_tetwild_gets_surfaces_far_from_the_origin_as_if_they_were_there(monkeypatch):
+    mesh = meshio.read(STORED)
+    seen = []
+
+    def run(folder, *_):
+        seen.append(pickle.loads((folder / "arguments").read_bytes()))
+        (folder / "result").write_bytes(pickle.dumps((mesh.points, mesh.cells[0].data)))
+        return 0, ""
+
+    monkeypatch.setattr(tetwild, "_run", run)
+    grid, tets, values = background(lambda x: 0.1 + 0.0 * x[:, 0])
+    away = np.array([5e5, -4.6e6, 3.0])
+    points, _ = odt_plugins.tetrahedralize(CUBE + away, FACES, odt=False, bg_vertices=grid + away,
+                                           bg_tets=tets, bg_values=values)
+    left = np.array([0.0, -1.0, 3.0])
+    assert np.array_equal(seen[0]["vertices"], CUBE + left)
+    assert np.allclose(seen[0]["bg_vertices"], grid + left, atol=1e-9)
+    assert np.array_equal(points, mesh.points + (away - left))
+
+
 @pytest.mark.parametrize("scale", [1e-9, 1e-35])
 def test_a_small_surface_is_filled(scale):
     with warnings.catch_warnings():

@@ -9,11 +9,12 @@ import numpy as np
 
 from odt_plugins.engine.cells.geometry import boundary_facets
 from odt_plugins.engine.ground.reference import Reference, make_reference
-from odt_plugins.errors import counted
+from odt_plugins.errors import counted, place_within
 from odt_plugins.figures import volumes
 from odt_plugins.generate.bodies import HALF, find_bodies, winding
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.mesh.components import components
+from odt_plugins.mesh.simplex import diagonal
 from odt_plugins.mesh.soup import first_there
 
 MOST_GONE = 0.01
@@ -33,16 +34,21 @@ NAMED = 3
 
 
 class Place(NamedTuple):
-    """A connected part of an area: the corners of its bounding box, and its share of the area."""
+    """A connected part of an area: the corners of its bounding box, its share of the area, and the
+    extent of the area.
+    """
 
     low: tuple[float, float, float]
     high: tuple[float, float, float]
     share: float
+    extent: float
 
     def __str__(self) -> str:
         """The box, by its intervals."""
-        return " ".join(f"{axis} {low:.4g}..{high:.4g}"
-                        for axis, low, high in zip("xyz", self.low, self.high, strict=True))
+        ends = zip("xyz", self.low, self.high, strict=True)
+        return " ".join(
+            f"{axis} {place_within(self.extent, (low,))}..{place_within(self.extent, (high,))}"
+            for axis, low, high in ends)
 
 
 @dataclass(frozen=True)
@@ -190,12 +196,12 @@ def _places(
     label = components(np.repeat(corners[:, 0], 2), corners[:, 1:].ravel(), len(used))
     part = np.unique(label[corners[:, 0]], return_inverse=True)[1][at]
     shares = np.bincount(part, area[chosen]) / float(area.sum())
-    found = x[chosen]
+    found, extent = x[chosen], diagonal(x)
     out = []
     for i in np.argsort(-shares, kind="stable"):
         own = found[part == i]
         low, high = own.min(axis=0).tolist(), own.max(axis=0).tolist()
-        out.append(Place(tuple(low), tuple(high), float(shares[i])))
+        out.append(Place(tuple(low), tuple(high), float(shares[i]), extent))
     return tuple(out)
 
 

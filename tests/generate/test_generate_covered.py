@@ -245,3 +245,12 @@ def test_solids_that_touch_are_bodies_of_their_own(shift):
     assert found.volume == pytest.approx([1, 1])
     x = np.array([[0.1, 0.1, 0.1], shift, [2.9, 0, 0]])
     assert bodies.body_labels(x, points, faces, 1e-3).tolist() == [1, 2, 0]
+
+
+def test_places_far_from_the_origin_are_told_within_the_surface():
+    points, cells = solid((0, 0, 0))
+    surface = boxes(((0, 0, 0), 1, True), ((3, 0, 0), 1, True))
+    away = np.array([1e6, 0.0, 0.0])
+    found = covered.compare(
+        (surface[0] + away, surface[1]), (points + away, cells), 0.01).complaint()
+    assert "(x 1000003..1000004 y" in found
