@@ -200,7 +200,8 @@ def _wish(size: Any, wishes: dict[str, Any], *, metric: bool) -> Wish:
         msg = "got adapt= without a number of cells; expected cells= or vertices= beside it"
         raise InvalidOptionError(msg)
     metric = metric or bool(adapt)
-    given = isinstance(size, str) or callable(size) or even_rows("size", size).ndim > 0
+    named = isinstance(size, str) and size != ""
+    given = named or callable(size) or even_rows("size", size).ndim > 0
     if size is not None and not given:
         try:
             length = float("" if isinstance(size, bool | np.bool_) else size)

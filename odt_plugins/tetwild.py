@@ -38,7 +38,7 @@ from odt_plugins.keywords import OptionKeywords, with_option_signature
 from odt_plugins.mesh.simplex import barycentric, diagonal, mesh_arrays, reverse, vertices_of
 from odt_plugins.options import EDGE_LENGTH, OPTIONS, Progress, hint_for, make_options
 from odt_plugins.progress import part, telling
-from odt_plugins.remeshing import check_sizes, remesh, remesh_with_report
+from odt_plugins.remeshing import CURVATURE, check_sizes, remesh, remesh_with_report
 
 if TYPE_CHECKING:
     from odt_plugins.generate.covered import Covered
@@ -92,6 +92,18 @@ SIZES = ("size", "scale", "cells", "growth")
 def asked(**sizes: Any) -> dict[str, Any]:
     """Those sizes that are given."""
     return {name: value for name, value in sizes.items() if value is not None}
+
+
+def check_asked(sizes: Mapping[str, Any], options: Mapping[str, Any]) -> None:
+    """Refuse sizes that the tetrahedra of TetWild cannot have, before any work is done."""
+    check_sizes(**sizes, **options)
+    size: Any = sizes.get("size")
+    named = isinstance(size, str) and size != CURVATURE
+    if named or np.ndim(size):
+        told = f"size={size!r}" if named else f"size= of shape {np.shape(size)}"
+        msg = (f"got {told} for a surface, whose vertices and faces are not those of the "
+               f"tetrahedra; expected a length, size={CURVATURE!r}, or a function size(points)")
+        raise InvalidOptionError(msg)
 
 
 @with_option_signature()
@@ -200,10 +212,11 @@ def _checked(
     if sizes:
         if chosen is None or given["bg_values"] is not None:
             what = "odt=False, TetWild alone" if chosen is None else "a sizing field of TetWild"
-            msg = f"got {', '.join(sizes)} beside {what}; expected either"
+            given_sizes = " and ".join(f"{name}=" for name in sizes)
+            msg = f"got {given_sizes} beside {what}; expected either"
             raise InvalidOptionError(msg)
         chosen.setdefault("boundary", "slide")
-        check_sizes(**sizes, **chosen)
+        check_asked(sizes, chosen)
     given.update(read_surface(given["vertices"], given["faces"]))
     if chosen and chosen.get("repair") == "orient":
         from odt_plugins.generate.bodies import outward

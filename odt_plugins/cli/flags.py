@@ -26,10 +26,13 @@ EDGE_LENGTH = click.option(
     "--edge-length", type=click.FloatRange(min=0.0, max=1.0, min_open=True, max_open=True),
     default=DEFAULT_EDGE_LENGTH, show_default=True, help="For TetWild, relative to the diagonal.")
 
+OF_ARRAYS = ", the name of a point or cell array of lengths of INPUT"
+"""What is told of a size for meshes whose vertices and cells stand for those of the result."""
+
 SIZES: dict[str, dict[str, Any]] = {
     "size": {"metavar": "LENGTH", "callback": lambda _c, _p, text: length_or_name(text),
-             "help": "Length that edges should have, the name of a point or cell array of lengths "
-                     "of INPUT, or curvature: as coarse as the envelope allows."},
+             "help": f"Length that edges should have{OF_ARRAYS}, or curvature: as coarse as the "
+                     "envelope allows."},
     "scale": {"type": float, "help": "Instead: multiple of the local size that INPUT has; 2 is "
                                      "twice as coarse."},
     "cells": {"type": int, "help": "Instead: how many cells, about."},
@@ -60,7 +63,8 @@ def size_flags(
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
         for name, settings in reversed(SIZES.items()):
             if name not in without:
-                told = settings | {"help": f"{start}{settings['help']}"}
+                of = OF_ARRAYS if "adapt" in without else ""
+                told = settings | {"help": start + settings["help"].replace(of, "")}
                 command = click.option("--" + name.replace("_", "-"), name, **told)(command)
         return command
 

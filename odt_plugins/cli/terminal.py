@@ -32,6 +32,9 @@ JOINED = "an INPUT whose geometries are joined to one"
 OF_DOMAINS = {"h0": "size", "level": "levels", "most_points": "most_points"}
 """Flags of the command mesh, by arguments of the functions that it calls."""
 
+OF_FILES = ("file_format", "levels", "suffix", "tetrahedralize")
+"""Arguments of functions for files that are flags of the same names."""
+
 
 class ShareOption(click.Option):
     """A switch, or a number that follows it, of a :class:`Command`."""
@@ -203,10 +206,10 @@ def in_flags(text: str) -> str:
         parts = re.findall(r"""'([^']*)'|"([^"]*)"|([-+.\w]+)""", found[2])
         value = ",".join("".join(part) for part in parts)
         plain = {"True": f"--{name}", "False": f"--no-{name}", "None": f"--{name} none"}
-        return plain.get(value, f"--{name} {shlex.quote(value) if value else 'none'}")
+        return plain.get(value, f"--{name} {shlex.quote(value) if parts else 'none'}")
 
     own = (name for name, about in OPTIONS.items() if about.metadata["flag"] is not None)
-    names = "|".join(("size", "file_format", *OF_DOMAINS, *WISHES, *own))
+    names = "|".join(("size", *OF_FILES, *OF_DOMAINS, *WISHES, *own))
     value = r"""'[^']*'|"[^"]*"|\([^()]*\)|[-+.\w]*\w"""
     text = text.replace(TOGETHER, JOINED).replace(LOADED, JOINED)
     text = text.replace("untangle(mesh, partial=True)", PARTLY)

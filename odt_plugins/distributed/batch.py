@@ -183,7 +183,8 @@ def make_jobs(
         check_fill(settings.get("levels", 0), settings.get("edge_length", EDGE_LENGTH), options,
                    sizes)
     elif settings.get("levels"):
-        msg = "got levels for meshes that are there; expected them with tetrahedralize only"
+        msg = (f"got levels={settings['levels']} for meshes that are there; expected "
+               "tetrahedralize=True beside it")
         raise InvalidOptionError(msg)
     elif sizes:
         from odt_plugins.remeshing import check_sizes

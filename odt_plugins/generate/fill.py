@@ -34,7 +34,6 @@ from odt_plugins.generate.levels import check_levels, refine_with_report
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.simplex import diagonal, mesh_arrays, reverse
 from odt_plugins.options import EDGE_LENGTH, OF_MESHES, OPTIONS, make_options
-from odt_plugins.remeshing import check_sizes
 
 if TYPE_CHECKING:
     from odt_plugins.adapters.host import HostMesh
@@ -223,10 +222,11 @@ def check_fill(
     make_options(**options)
     check_levels(levels, edge_length, options if levels else {})
     if sizes and levels:
-        msg = f"got {', '.join(sizes)} beside levels={levels}; expected either"
+        given = " and ".join(f"{name}=" for name in sizes)
+        msg = f"got {given} beside levels={levels}; expected either"
         raise InvalidOptionError(msg)
     if sizes:
-        check_sizes(**sizes, **options)
+        tetwild.check_asked(sizes, options)
     if sizes.get("adapt"):
         msg = "got adapt for a surface; expected it for meshes, try odt_plugins.remesh"
         raise InvalidOptionError(msg)

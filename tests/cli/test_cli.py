@@ -444,7 +444,7 @@ BAD = [
     ("demo --out in.vtu", 1, "in.vtu"),
     ("compare none.vtu --out in.vtu", 1, "cannot write into in.vtu: .*; try another --out"),
     ("compare none.vtu --keep in.vtu/k", 1, "cannot write into in.vtu/k: .*; try another --keep"),
-    ("batch in.vtu --out o --suffix vtu", 2, "got suffix='vtu'; expected one with its dot"),
+    ("batch in.vtu --out o --suffix vtu", 2, "got --suffix vtu; expected one with its dot"),
 ]
 
 
@@ -660,6 +660,8 @@ print(gc.get_threshold()[0] == __main__.RARELY, gc.get_freeze_count() > 1000)
      "got --size -1.0; try --size 0.2 or a larger --most-points"),
     ("got level=9; try a smaller level=", "got --levels 9; try a smaller --levels"),
     ("got file_format='gmsh41' for a.vtu", "got --file-format gmsh41 for a.vtu"),
+    ("regions='' names no", "--regions '' names no"), ("got suffix='vtu'", "got --suffix vtu"),
+    ("levels=1; expected tetrahedralize=True", "--levels 1; expected --tetrahedralize"),
     ("or untangle(mesh, partial=True) for", "or the command untangle with --partial for"),
 ])
 def test_options_are_named_by_their_flags(said, flags):

@@ -10,6 +10,7 @@ import pytest
 from surface_meshes import sphere
 
 import odt_plugins
+from odt_plugins import tetwild
 from odt_plugins.cli import main as cli
 from odt_plugins.errors import InvalidOptionError
 
@@ -46,6 +47,25 @@ def test_a_batch_remeshes_small_files_in_one_process(ball, tmp_path):
         told = json.loads((out / f"{name}.json").read_text())
         assert told["options"]["boundary"] == "slide"
     assert cli.main(["batch", str(other), "--out", str(out), "--scale", "-1"]) == 2
+
+
+def test_a_size_without_a_character_is_refused_as_a_size(ball, tmp_path, capsys):
+    assert cli.main(["remesh", str(ball[0]), str(tmp_path / "out.vtu"), "--size", ""]) == 2
+    assert "got --size ''; expected a length, " in capsys.readouterr().err
+
+
+def test_sizes_that_tetrahedra_of_tetwild_cannot_have_are_refused_before_it_runs(
+    ball, tmp_path, capsys, monkeypatch
+):
+    monkeypatch.setattr(tetwild, "run_tetwild", lambda *_: pytest.fail("TetWild ran"))
+    points, faces = sphere(2)
+    words = ["tetrahedralize", str(ball[0]), str(tmp_path / "out.vtu")]
+    assert cli.main([*words, "--size", "h"]) == 2
+    assert "got --size h for a surface, whose vertices" in capsys.readouterr().err
+    with pytest.raises(InvalidOptionError, match=r"got size= of shape \(\d+,\) for a surface"):
+        tetwild.tetrahedralize(points, faces, size=points[:, 0] + 2.0)
+    assert cli.main([*words, "--size", "0.5", "--levels", "1"]) == 2
+    assert "got --size beside --levels 1; expected either" in capsys.readouterr().err
 
 
 def test_tetwild_and_then_sizes(ball, tmp_path):

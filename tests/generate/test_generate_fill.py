@@ -222,7 +222,7 @@ def test_tetrahedra_are_refused_and_nothing_is_written(place, capsys):
     assert "No such option" in capsys.readouterr().err
     assert cli.main(["tetrahedralize", "tets.vtu", "none/out.vtu"]) == 1
     assert "is not a directory" in capsys.readouterr().err
-    with pytest.raises(InvalidOptionError, match="got levels for meshes that are there"):
+    with pytest.raises(InvalidOptionError, match="got levels=1 for meshes that are there"):
         cli.cli.main(["batch", "tets.vtu", "--out", "o", "--levels", "1"], standalone_mode=False)
     assert place == []
 
