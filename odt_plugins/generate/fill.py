@@ -59,6 +59,9 @@ OF_TOOLKITS = {
 }
 """What to try instead of a mesh of a toolkit, by its package."""
 
+NO_FIELDS = ("obj:vn", "gmsh:dim_tags")
+"""Point arrays of meshio that tell of the surface alone."""
+
 GROUPS = ("gmsh:physical", "gmsh:geometrical")
 """Labels of Gmsh, in which 0 is none; the tetrahedra are the volume 1."""
 
@@ -126,6 +129,7 @@ def tetrahedralize(vertices: Any, faces: Any = None, *more: Any, **how: Any) -> 
                                  beside it, or of that of the boundary no surface; not where TetWild
                                  runs alone, nor with disable_filtering, which fills a box
     ODTWarning                   parts of the boundary stand for no face, as where holes were closed
+    ODTWarning                   a file holds point data, lines or single points, which do not come
     ODTWarning                   faces of higher order are curved, by more than the envelope
 
     References
@@ -244,7 +248,8 @@ def fill(
     bodies: bool = False, sizes: Mapping[str, Any] = NO_SIZES,
 ) -> tuple[Any, Report | LevelsReport, float]:
     """Give the mesh of :func:`tetrahedralize` of a file, its report, and TetWild's seconds."""
-    found = _of_triangles(files.read_file(source))
+    given = files.read_file(source)
+    found = _of_triangles(given)
     host: HostMesh = find_adapter(found).read(found)
     if host.cells.shape[1] != 3 or host.points.shape[1] != 3:
         what = "tetrahedra" if host.cells.shape[1] == 4 else "triangles in the plane"
@@ -255,6 +260,10 @@ def fill(
         msg = (f"got bodies=True for faces that have an array {BODY!r}; expected none of that "
                f"name, try renaming it")
         raise InvalidOptionError(msg)
+    if gone := _without_a_place(given):
+        msg = (f"got {', '.join(gone)} beside the faces of {os.path.basename(source)}, which the "
+               "tetrahedra do not have; expected data of faces, which come to the boundary")
+        warn(msg, ODTWarning)
     options = dict(options)
     orient = options.get("repair") == "orient"
     if orient:
@@ -300,6 +309,20 @@ def fill(
         mesh.cell_data[BODY] = [label] + [np.zeros(len(block.data), dtype=np.int32)
                                           for block in mesh.cells[1:]]
     return mesh, replace(report, filled=filled), seconds
+
+
+def _without_a_place(mesh: Any) -> list[str]:
+    """What a surface has that comes to no tetrahedra: point data but normals and zeros, lines,
+    vertices; of Gmsh those of physical groups.
+    """
+    names = [repr(name) for name, values in getattr(mesh, "point_data", {}).items()
+             if "normal" not in name.lower() and name not in NO_FIELDS and np.any(values != 0)]
+    count = {noun: sum(len(block.data) for block in getattr(mesh, "cells", ())
+                       if block.type.startswith(kind))
+             for kind, noun in (("line", "line"), ("vertex", "single point"))}
+    everything = list(getattr(mesh, "cell_data", ())) == [GROUPS[1]]
+    return [f"point data {name}" for name in names] + [
+        counted(many, noun) for noun, many in count.items() if many and not everything]
 
 
 def _of_triangles(mesh: Any) -> Any:

@@ -213,6 +213,23 @@ def test_what_has_no_meaning_for_a_surface_is_refused_at_once(place, options, se
     assert place == []
 
 
+def test_what_does_not_come_to_tetrahedra_is_named(place):
+    part = surface(side=SIDE)
+    part.point_data = {"T": CUBE[:, 0], "Normals": CUBE}
+    part.cells.append(meshio.CellBlock("line", np.array([[0, 1], [1, 3]])))
+    part.cell_data["side"].append(np.zeros(2, dtype=np.int32))
+    part.write("part.vtu")
+    with pytest.warns(ODTWarning, match=r"^got point data 'T', 2 lines beside the faces of part"):
+        found = odt_plugins.tetrahedralize("part.vtu", edge_length=0.3)
+    assert list(found.cell_data) == ["side"]
+    part.point_data = {"medit:ref": np.zeros(8), "Normals": CUBE}
+    part.cell_data = {"gmsh:geometrical": part.cell_data["side"]}
+    part.write("other.vtu")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        odt_plugins.tetrahedralize("other.vtu", edge_length=0.3)
+
+
 def test_tetrahedra_are_refused_and_nothing_is_written(place, capsys):
     points, cells, _ = contract.grid(3, 1)
     meshio.Mesh(points, [("tetra", cells)]).write("tets.vtu")
