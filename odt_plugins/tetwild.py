@@ -187,7 +187,7 @@ def compare_with_surface(
         return None
     from odt_plugins.generate.covered import REACH, compare
 
-    surface = mesh_arrays(given["vertices"], given["faces"])
+    surface = mesh_arrays(np.asarray(given["vertices"], dtype=np.float64), given["faces"])
     points, cells = mesh_arrays(*mesh[:2])
     moved = make_options(**chosen) if chosen.get("boundary") == "slide" else None
     part = given["epsilon"] + (moved.envelope if moved else 0.0)

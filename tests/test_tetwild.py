@@ -131,6 +131,18 @@ def test_tetwild_gets_surfaces_of_usual_size(monkeypatch, power):
     assert np.array_equal(points, np.ldexp(mesh.points, power + back))
 
 
+def test_vertices_in_whole_numbers_are_taken_as_tetwild_takes_them(monkeypatch):
+    mesh = meshio.read(STORED)
+    made = mesh.points, mesh.cells[0].data
+    monkeypatch.setattr(tetwild, "run_tetwild", lambda given: made)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotFilledWarning)
+        whole, same = (odt_plugins.tetrahedralize(np.rint(3 * CUBE).astype(kind), FACES)
+                       for kind in (np.int64, np.float64))
+    assert np.array_equal(whole[0], same[0])
+    assert np.array_equal(whole[1], same[1])
+
+
 def test_tetwild_gets_surfaces_far_from_the_origin_as_if_they_were_there(monkeypatch):
     mesh = meshio.read(STORED)
     seen = []
