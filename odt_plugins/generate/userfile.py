@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import runpy
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ UNIT_BOX = ((-1.0, -1.0), (1.0, 1.0))
 
 
 def read_domain(path: Path) -> tuple[Sample, bool]:
-    """Run a Python file and take the arguments of distmesh2d out of it.
+    """Run a Python file, which may import those beside it, and take what distmesh2d is given.
 
     Parameters
     ----------
@@ -38,11 +39,16 @@ def read_domain(path: Path) -> tuple[Sample, bool]:
     if not path.is_file():
         msg = f"cannot read {path}: it is missing; expected a Python file that defines fd"
         raise MeshFileError(msg)
+    beside = str(path.absolute().parent)
+    sys.path.insert(0, beside)
     try:
         names = runpy.run_path(str(path))
     except (Exception, SystemExit) as exc:
         msg = f"{path} does not run: {type(exc).__name__}: {exc}"
         raise InvalidOptionError(msg) from exc
+    finally:
+        if beside in sys.path:
+            sys.path.remove(beside)
     if not callable(names.get("fd")):
         msg = (f"{path} defines no function fd; expected fd(p), the signed distance of points "
                "(n, 2), and optionally fh(p), bbox, pfix and h0")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 
 import meshio
 import numpy as np
@@ -48,6 +49,17 @@ def test_a_python_file_gives_fd_fh_bbox_and_pfix(place, capsys):
     points = files.read_file("out.msh").points
     assert points[0].tolist() == [3, 0, 0]
     assert np.hypot(points[:, 0] - 3, points[:, 1]).max() == pytest.approx(1, abs=1e-9)
+
+
+def test_a_python_file_imports_those_beside_it(place):
+    folder = place / "domains"
+    folder.mkdir()
+    (folder / "round_domains.py").write_text(DISK)
+    (folder / "disk.py").write_text("from round_domains import bbox, fd, fh, pfix\n")
+    paths = list(sys.path)
+    assert cli.main(["mesh", "domains/disk.py", "out.vtu", "--size", "0.2", "--quiet"]) == 0
+    assert sys.path == paths
+    sys.modules.pop("round_domains")
 
 
 def test_a_surface_becomes_tetrahedra(place, capsys):
