@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from odt_plugins.cli.flags import QUIET_FLAG
+from odt_plugins.cli.flags import QUIET_FLAG, refuse
 from odt_plugins.cli.terminal import (
     check_paths,
     progress_bar,
@@ -126,9 +126,11 @@ def _refine(
     threads: int, report_file: Path | None, quiet: bool,
 ) -> None:
     """Make tetrahedra of a surface, or more of coarse ones."""
-    from odt_plugins.adapters.files import write_file
+    from odt_plugins.adapters.files import read, write_file
     from odt_plugins.generate.levels import refine_with_report
 
+    if edge_length is not None and read(Path(what)).cells.shape[1] == 4:
+        refuse("edge_length", "for tetrahedra that are there", "the file of a surface")
     options: Any = {"edge_length": edge_length, "envelope": envelope}
     options = {name: value for name, value in options.items() if value is not None}
     with warnings_told(quiet), progress_bar(quiet) as progress:

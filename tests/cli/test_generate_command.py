@@ -62,6 +62,14 @@ def test_a_python_file_imports_those_beside_it(place):
     sys.modules.pop("round_domains")
 
 
+def test_an_edge_length_of_tetwild_is_refused_for_tetrahedra(place, capsys):
+    points = np.vstack([np.zeros(3), np.eye(3)])
+    meshio.write("tets.vtu", meshio.Mesh(points, [("tetra", [[0, 1, 2, 3]])]))
+    assert cli.main(["mesh", "tets.vtu", "out.vtu", "--edge-length", "0.1"]) == 2
+    assert "got --edge-length for tetrahedra that are there" in capsys.readouterr().err
+    assert cli.main(["mesh", "tets.vtu", "out.vtu", "--quiet"]) == 0
+
+
 def test_a_surface_becomes_tetrahedra(place, capsys):
     pytest.importorskip("pytetwild")
     points, faces = surface_meshes.sphere(2)
