@@ -108,17 +108,23 @@ def test_options_are_checked_before_tetwild_runs(monkeypatch):
             odt_plugins.tetrahedralize(CUBE, FACES, **given)
 
 
-@pytest.mark.parametrize("power", [-30, -120, 0, 12, 120])
-def test_tetwild_gets_surfaces_of_usual_size(monkeypatch, power):
-    mesh = meshio.read(STORED)
-    seen = []
+@pytest.fixture
+def seen(monkeypatch):
+    """The arguments that TetWild gets, in whose place a stored mesh comes."""
+    mesh, arguments = meshio.read(STORED), []
 
     def run(folder, *_):
-        seen.append(pickle.loads((folder / "arguments").read_bytes()))
+        arguments.append(pickle.loads((folder / "arguments").read_bytes()))
         (folder / "result").write_bytes(pickle.dumps((mesh.points, mesh.cells[0].data)))
         return 0, ""
 
     monkeypatch.setattr(tetwild, "_run", run)
+    return arguments
+
+
+@pytest.mark.parametrize("power", [-30, -120, 0, 12, 120])
+def test_tetwild_gets_surfaces_of_usual_size(seen, power):
+    mesh = meshio.read(STORED)
     grid, tets, values = background(lambda x: 0.1 + 0.0 * x[:, 0])
     for by in (0, power):
         points, _ = odt_plugins.tetrahedralize(
@@ -143,16 +149,8 @@ def test_vertices_in_whole_numbers_are_taken_as_tetwild_takes_them(monkeypatch):
     assert np.array_equal(whole[1], same[1])
 
 
-def test_tetwild_gets_surfaces_far_from_the_origin_as_if_they_were_there(monkeypatch):
+def test_tetwild_gets_surfaces_far_from_the_origin_as_if_they_were_there(seen):
     mesh = meshio.read(STORED)
-    seen = []
-
-    def run(folder, *_):
-        seen.append(pickle.loads((folder / "arguments").read_bytes()))
-        (folder / "result").write_bytes(pickle.dumps((mesh.points, mesh.cells[0].data)))
-        return 0, ""
-
-    monkeypatch.setattr(tetwild, "_run", run)
     grid, tets, values = background(lambda x: 0.1 + 0.0 * x[:, 0])
     away = np.array([5e5, -4.6e6, 3.0])
     points, _ = odt_plugins.tetrahedralize(CUBE + away, FACES, odt=False, bg_vertices=grid + away,
