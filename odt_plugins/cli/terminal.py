@@ -42,6 +42,7 @@ class ShareOption(click.Option):
     def number_taken(self, ctx: click.Context, words: list[str]) -> list[str]:
         """Take the numbers that follow the switch, of which the last holds, out of the words."""
         left: list[str] = []
+        waits = False
         for place, word in enumerate(words):
             if word == "--":
                 return left + words[place:]
@@ -50,11 +51,13 @@ class ShareOption(click.Option):
             if flag in self.opts:
                 left.append(flag)
                 number = click.FLOAT(told, self, ctx) if follows else True
-            elif left and left[-1] in self.opts and _is_number(word):
+            elif waits and _is_number(word):
                 number = float(word)
             else:
                 left.append(word)
+                waits = False
                 continue
+            waits = number is True
             ctx.meta[f"{__name__}.{self.name}"] = number
         return left
 

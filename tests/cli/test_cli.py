@@ -295,6 +295,8 @@ def test_untangling_inserts_vertices_when_told_and_shows_its_progress(
         assert cli.main(f"untangle bad.vtu {words}".split()) == 0
         assert "0 vertices moved, 1 added" in capsys.readouterr().out
         assert len(meshio.read("out.vtu").points) == 7
+    assert cli.main("untangle bad.vtu --insert 0.2 7 out.vtu".split()) == 2
+    assert "Got unexpected extra argument (out.vtu)" in capsys.readouterr().err
     assert told[-1][1] == 1.0
     assert any(stage == "untangling" for stage, _ in told)
 
