@@ -14,11 +14,11 @@ BEFORE_INSERTION = 0.3
 """Part of a run with insertion that is over when insertion begins."""
 
 
-def until_insertion(options: Options) -> Options:
+def until_insertion(options: Options, share: float = BEFORE_INSERTION) -> Options:
     """The same options, with a progress that ends where insertion begins."""
     report = options.progress
     return options if report is None else replace(
-        options, progress=part(report, 0.0, BEFORE_INSERTION))
+        options, progress=part(report, 0.0, share))
 
 
 def in_turn(options: Options, turn: int) -> Options:

@@ -12,7 +12,6 @@ from odt_plugins.engine.cells.geometry import signed_volumes
 from odt_plugins.engine.odt.density import NodalDensity
 from odt_plugins.engine.odt.rounds import overrelaxes
 from odt_plugins.engine.policy import POLICY
-from odt_plugins.engine.record.figures import Figures, figures
 from odt_plugins.engine.remesh.lay_out import surface_of
 from odt_plugins.engine.run.outcome import Leaving, Outcome
 from odt_plugins.engine.run.plan import run
@@ -22,7 +21,7 @@ from odt_plugins.mesh.faces import Faces, Pieces, followed, labels_at, no_faces,
 from odt_plugins.mesh.numbering import new_numbers
 from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.options import Options
-from odt_plugins.progress import part, silent
+from odt_plugins.progress import silent
 
 SLIDING = 0.4
 """Part of the allowed change of the volume that sliding may use, where none can be given back."""
@@ -98,23 +97,11 @@ def finished(
                                faces=_renumbered(resized, outcome.origin)))
         return replace(left, origin=outcome.origin)
 
-    def once(first: float, last: float, insert: float) -> Outcome:
-        some = replace(options, insert=insert or False, progress=part(report, first, last))
-        return run(middle, some, as_it_leaves, within=Within(share=SLIDING, sized=mesh))
-
-    report = options.progress or silent
     inserts = options.finish and options.smoothing.connectivity != "none"
-    if inserts and not len(middle.metric):
-        best = once(0.0, 0.7, 0.0)
-        reached, more = _figures(best, options), room(best)
-        if reached.p1_quality < POOR and more > 0.0:
-            other = once(0.7, 1.0, more)
-            times = sums(best.times, other.times)
-            better = _figures(other, options).score > reached.score
-            best = replace(other if better else best, times=times)
-    else:
-        best = once(0.0, 1.0, 0.0)
-    report("finishing", 1.0)
+    more = room(resized) if inserts and not len(middle.metric) else 0.0
+    best = run(middle, replace(options, insert=more > 0.0 and more), as_it_leaves,
+               within=Within(share=SLIDING, sized=mesh, tail=POOR))
+    (options.progress or silent)("finishing", 1.0)
     if best.written is None:
         best = as_it_leaves(best)
     outcome = replace(best, origin=_composed(origin, best.origin), fallback=None, slid=None)
@@ -144,11 +131,6 @@ def _placed(resized: Outcome, leaving: Leaving) -> Outcome:
 def sums(one: dict[str, Any], other: dict[str, Any]) -> dict[str, Any]:
     """Both, with the sums of what they share."""
     return one | {name: one.get(name, 0) + value for name, value in other.items()}
-
-
-def _figures(outcome: Outcome, options: Options) -> Figures:
-    """Figures of an outcome, with those of the objective."""
-    return figures(outcome.points, outcome.cells, options.objective)
 
 
 def _renumbered(resized: Outcome, origin: LongArray | None) -> tuple[Faces, Faces]:

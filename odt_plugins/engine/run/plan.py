@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from functools import partial
 
@@ -10,7 +11,7 @@ import numpy as np
 from odt_plugins.engine.compiled.threads import thread_pool, worth
 from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.record.memory import State
-from odt_plugins.engine.record.progress import until_insertion
+from odt_plugins.engine.record.progress import BEFORE_INSERTION, FIRST, until_insertion
 from odt_plugins.engine.run.best import ALONE, BESIDES, best_state, input_returned
 from odt_plugins.engine.run.judge import cut_vertices, faults, slides, vertices_of_other_sizes
 from odt_plugins.engine.run.outcome import Leaving, Outcome, as_it_is, unchanged
@@ -81,7 +82,7 @@ def follow_plan(work: Work, mesh: Complex) -> str:
     2. The worst cells: descents with ever higher powers, repair of what fell below the input; as
        many cells as before where fewer ones alone make a poorer mesh.
     3. Stage 2 alone on the input, where that kept nothing or the tail stays poor.
-    4. Vertices are added and removed, on request.
+    4. Vertices are added and removed, on request, of a resized mesh where its tail stays poor.
 
     Parameters
     ----------
@@ -93,7 +94,8 @@ def follow_plan(work: Work, mesh: Complex) -> str:
     str               why stage 1 stopped, and what followed
     """
     options, memory, log = work.options, work.memory, work.log
-    early = replace(work, options=until_insertion(options)) if options.insert else work
+    share = BEFORE_INSERTION if work.within.tail == math.inf else FIRST
+    early = replace(work, options=until_insertion(options, share)) if options.insert else work
     mesh, reason = in_cycles(mesh, early)
     if options.finish:
         with log.timed("finishing"):
@@ -113,9 +115,11 @@ def follow_plan(work: Work, mesh: Complex) -> str:
         if refused and not keeps_sizes(options):
             reason += f"; {NO_DENSITY}"
 
-    if options.insert and (memory.states or not work.slides):
+    reached = memory.states[0].figures if memory.states else work.before
+    may = options.insert and (memory.states or not work.slides)
+    if may and reached.p1_quality < work.within.tail:
         with log.timed("inserting"):
-            insert(work)
+            insert(work, share)
     return reason
 
 

@@ -27,7 +27,6 @@ from odt_plugins.engine.odt.rounds import Log, smooth
 from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.record.figures import COS_SMALL, Figures, figures
 from odt_plugins.engine.record.memory import State
-from odt_plugins.engine.record.progress import BEFORE_INSERTION
 from odt_plugins.engine.run.work import Work, extremes
 from odt_plugins.engine.topology.complex import Complex, make_complex
 from odt_plugins.engine.topology.part import Part, around, away_from, inside, joined
@@ -247,8 +246,11 @@ def finish_alone(mesh: Complex, work: Work, name: str, *, flips: bool) -> None:
     polish_small_angles(mesh, bounds, memory, name, work.settle, work.pool)
 
 
-def insert(work: Work) -> None:
-    """Add and remove vertices of the best state so far, or of the input."""
+def insert(work: Work, share: float) -> None:
+    """Add and remove vertices of the best state so far, or of the input.
+
+    Of the progress ``share`` is over.
+    """
     from odt_plugins.engine.finish.resampling import resample_in_rounds, with_spare_vertices
 
     start, options, memory = work.start, work.options, work.memory
@@ -263,7 +265,7 @@ def insert(work: Work) -> None:
         limits=partial(held_by_insertion, options, work.before),
         settle=work.settle,
         offer=partial(memory.offer, name="resampled"),
-        report=partial(part(options.progress or silent, BEFORE_INSERTION, 1.0), "inserting"),
+        report=partial(part(options.progress or silent, share, 1.0), "inserting"),
         log=work.log,
     )
 

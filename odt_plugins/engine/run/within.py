@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Container
 from typing import NamedTuple
 
@@ -31,6 +32,8 @@ class Within(NamedTuple):
     part : float                  what guards of phases, shares of the cells, are divided by, where
                                   the boundary does not slide: the worst cells of so much of the
                                   larger mesh are all here; less where cells at a cut are among them
+    tail : float                  1 % quantile of the radius ratio below which vertices are added on
+                                  request
     """
 
     cut: BoolArray | None = None
@@ -40,6 +43,7 @@ class Within(NamedTuple):
     sized: SimplexMesh | None = None
     fresh: BoolArray | None = None
     part: float = 1.0
+    tail: float = math.inf
 
     def numbered(self, vertices: IntArray) -> Within:
         """The same with ``vertices`` (k,) of these in their order; a cut without any is none."""

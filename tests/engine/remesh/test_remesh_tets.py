@@ -268,9 +268,17 @@ def test_the_accessor_of_pyvista_takes_a_size(box):
 
 
 def test_a_poor_tail_gets_vertices_inside(csg, monkeypatch):
+    runs, run = [], remesh_finish.run
+
+    def counted(*how, **within):
+        runs.append(remesh_finish.POOR)
+        return run(*how, **within)
+
+    monkeypatch.setattr(remesh_finish, "run", counted)
     (points, cells), report = odt_plugins.remesh_with_report(csg, scale=2)
     monkeypatch.setattr(remesh_finish, "POOR", 0.0)
     (others, other_cells), without = odt_plugins.remesh_with_report(csg, scale=2)
+    assert 2 * runs.count(0.0) == len(runs)
     assert without.after.p1_quality < 0.5
     assert report.after.p1_quality > without.after.p1_quality + 0.05
     assert len(others) < len(points) <= 1.1 * len(others)
