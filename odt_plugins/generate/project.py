@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from math import cos, radians
@@ -150,12 +151,21 @@ def project(
     goal[there] = points[free[there]]
     moved = partial(_moved, cells=cells, facets=facets, free=free, target=target,
                     length=envelope, dtype=dtype)
-    for _ in range(PASSES):
-        points = moved(points, goal=goal)
+    points = _until_still(points, partial(moved, goal=goal))
     short = int((goal != points[free]).any(axis=1).sum())
-    for _ in range(PASSES if last else 0):
-        points = moved(points, goal=_peaks(points, facets, free, target, envelope))
+    if last:
+        points = _until_still(
+            points, lambda x: moved(x, goal=_peaks(x, facets, free, target, envelope)))
     return Projected(points, int((~there).sum()), short)
+
+
+def _until_still(points: FloatArray, after: Callable[[FloatArray], FloatArray]) -> FloatArray:
+    """Points after PASSES passes, or after the first that moves none of them."""
+    for _ in range(PASSES):
+        before, points = points, after(points)
+        if np.array_equal(before, points):
+            break
+    return points
 
 
 def _peaks(

@@ -120,6 +120,13 @@ def test_vertices_of_sharp_edges_go_to_the_sharp_edges_of_the_surface():
     assert np.allclose(new, points)
 
 
+def test_a_pass_that_moves_nothing_is_the_last():
+    passes = []
+    still = project._until_still(np.zeros(3), lambda x: passes.append(x) or np.minimum(x + 1, 2))
+    assert np.array_equal(still, np.full(3, 2.0))
+    assert len(passes) == 3 < project.PASSES
+
+
 @given(SEEDS)
 @settings(max_examples=15, deadline=None)
 def test_no_move_tangles_or_spoils_a_cell(seed):
