@@ -49,8 +49,10 @@ def periodic_triangles(
     close = CLOSE * diagonal(x)
     for normal in _directions(x, rows):
         height = x[:, 0] * normal[0] + x[:, 1] * normal[1] + x[:, 2] * normal[2]
-        low, high = ((np.abs(height - end) <= close)[rows].all(axis=1)
-                     for end in (height.min(), height.max()))
+        ends = [np.abs(height - end) <= close for end in (height.min(), height.max())]
+        if min(map(np.count_nonzero, ends)) < 3:
+            continue
+        low, high = (end[rows].all(axis=1) for end in ends)
         if _match(x, rows[low], rows[high], close):
             meant = several is None or (
                 several[triangles[low]].any() and not _congruent(x, rows[low], close))
