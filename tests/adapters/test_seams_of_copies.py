@@ -113,8 +113,7 @@ def test_soups_keep_all_coordinates_of_one_place(kind, surface, scale):
 
 
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("kind", ["open3d", "trimesh", "pyvista"])
-@pytest.mark.parametrize("scale", [0.8, 1.4])
+@pytest.mark.parametrize(("kind", "scale"), pairs(["open3d", "trimesh", "pyvista"], [0.8, 1.4]))
 def test_patches_with_zigzag_rims_do_not_mix(kind, scale):
     """Each patch is in a square of the texture of its own, as tools that unwrap surfaces lay it."""
     ball = trimesh.creation.icosphere(4)
@@ -137,8 +136,7 @@ def test_patches_with_zigzag_rims_do_not_mix(kind, scale):
 
 
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("kind", ["tensor", "trimesh", "pyvista"])
-@pytest.mark.parametrize("scale", [0.7, 1.5])
+@pytest.mark.parametrize(("kind", "scale"), pairs(["tensor", "trimesh", "pyvista"], [0.7, 1.5]))
 def test_soups_keep_patches_of_one_triangle(kind, scale):
     """Every triangle has a place of its own in the texture, as trivial parametrisations lay it."""
     ball = trimesh.creation.icosphere(2)

@@ -115,6 +115,6 @@ def test_sheets_that_cross_many_times_gain_with_every_larger_envelope(height, of
     two = sm.uneven_sheet(20, high, seed, 0.003 + 0.001 * (seed == 3))
     mesh = np.concatenate([one[0], two[0]]), np.concatenate([one[1], two[1] + len(one[0])])
     means = [odt_plugins.optimize_with_report(mesh, envelope=size)[1].after.mean_quality
-             for size in (1e-3, 7e-4, 5e-4, 3e-4, 2e-4, 1e-4, 5e-5)]
+             for size in (1e-3, 7e-4, 3e-4, 1e-4, 5e-5)]
     assert np.diff(means).max() < 2e-3
     assert means[0] > 0.97
