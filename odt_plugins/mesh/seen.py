@@ -30,16 +30,23 @@ def as_seen(points: FloatArray, cells: IntArray, metric: FloatArray) -> tuple[Fl
     """
     if not len(metric):
         return points, cells
-    m, k = cells.shape
-    d = points.shape[1]
+    k = cells.shape[1]
     mean = metric[cells[:, 0]]
     for i in range(1, k):
         mean += metric[cells[:, i]]
-    root = exponentials(full(mean / k))
+    return seen_through(exponentials(full(mean / k)), points, cells)
+
+
+def seen_through(
+    roots: FloatArray, points: FloatArray, cells: IntArray
+) -> tuple[FloatArray, IntArray]:
+    """Cells as of :func:`as_seen`, with a matrix S of each cell (m, d, d)."""
+    m, k = cells.shape
+    d = points.shape[1]
     edges = points[cells] - points[cells[:, :1]]
-    seen = edges[:, :, :1] * root[:, :1]
+    seen = edges[:, :, :1] * roots[:, :1]
     for i in range(1, d):
-        seen += edges[:, :, i, None] * root[:, None, i]
+        seen += edges[:, :, i, None] * roots[:, None, i]
     return seen.reshape(m * k, d), np.arange(m * k, dtype=np.int32).reshape(m, k)
 
 

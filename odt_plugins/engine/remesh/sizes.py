@@ -18,8 +18,9 @@ from odt_plugins.engine.topology.star import star_sum
 from odt_plugins.errors import InvalidOptionError, place_within
 from odt_plugins.mesh.arrays import FloatArray, IntArray, LongArray
 from odt_plugins.mesh.numbers import real_numbers
-from odt_plugins.mesh.seen import as_seen
+from odt_plugins.mesh.seen import as_seen, full, seen_through
 from odt_plugins.mesh.simplex import SimplexMesh, corner_mean, diagonal
+from odt_plugins.mesh.symmetric import exponentials
 
 LEAST = 1e-6
 """Smallest size, as a part of the diagonal."""
@@ -158,12 +159,9 @@ def expected_cells(mesh: SimplexMesh, values: FloatArray) -> float:
     dense = power(values, -float(d))
     content = np.abs(signed_volumes(*as_seen(mesh.points, mesh.cells, mesh.metric)))
     count = float((content * corner_mean(dense, mesh.cells)).sum())
-    apart = mesh.points[mesh.cells].reshape(-1, mesh.points.shape[1])
-    rows = np.arange(len(apart), dtype=np.int32).reshape(mesh.cells.shape)
-    corners = 0.0
+    roots, corners = exponentials(full(mesh.metric)), 0.0
     for corner in mesh.cells.T:
-        metric = np.repeat(mesh.metric[corner], d + 1, axis=0)
-        content = np.abs(signed_volumes(*as_seen(apart, rows, metric)))
+        content = np.abs(signed_volumes(*seen_through(roots[corner], mesh.points, mesh.cells)))
         corners += float((content * dense[corner]).sum())
     count = ((d + 1) * count + corners / (d + 1)) / (d + 2)
     return count / CONTENT[d + 1]
