@@ -215,6 +215,27 @@ def test_values_of_nodes_that_come_and_go_are_right_for_readers_that_go_by_the_o
         assert value[0] == pytest.approx(model.mesh.getNode(tag)[0] @ FIELD, abs=1e-12)
 
 
+@pytest.mark.parametrize("scale", ["0.7", "1.5"])
+def test_binary_files_of_version_2_with_links_are_read_by_meshio_where_nodes_went(
+        scale, gmsh, tmp_path):
+    """meshio reads no gaps between the numbers of nodes there."""
+    file, out = tmp_path / "in.msh", tmp_path / "out.msh"
+    model = gmsh.model
+    model.occ.addRectangle(0, 0, 0, 1, 1)
+    model.occ.synchronize()
+    model.mesh.setPeriodic(1, [2], [4], [1, 0, 0, 1, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1])
+    for name, value in (("MeshSizeMax", 0.15), ("MshFileVersion", 2.2), ("Binary", 1)):
+        gmsh.option.setNumber(f"Mesh.{name}", value)
+    model.mesh.generate(2)
+    gmsh.write(str(file))
+    assert cli.main(["remesh", str(file), str(out), "--scale", scale]) == 0
+    before, after = meshio.gmsh.read(file), meshio.gmsh.read(out)
+    assert len(after.points) != len(before.points)
+    pairs, own = before.gmsh_periodic[0][3], after.gmsh_periodic[0][3]
+    for side in (0, 1):
+        assert np.array_equal(before.points[pairs[:, side]], after.points[own[:, side]])
+
+
 @pytest.mark.parametrize(("version", "binary"), [(2.2, 0), (4.1, 1)])
 def test_values_of_what_is_in_no_group_stay(version, binary, gmsh, tmp_path):
     """Gmsh stores a view on the whole model beside the elements and nodes of a group."""

@@ -84,11 +84,12 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
 
 
 def _plain(file: File, nodes: Nodes) -> bool:
-    """Whether a binary file of version 2 has nothing but a mesh with nodes from 1 on, and values.
+    """Whether a binary file of version 2 has no more than nodes from 1 on, cells, values and links.
 
     meshio reads no others of that kind: gaps between numbers are closed by writing it anew.
     """
-    return (file.version == "2" and not file.text and {s.name for s in file.sections} <= PLAIN
+    known = PLAIN | {"Periodic"}
+    return (file.version == "2" and not file.text and {s.name for s in file.sections} <= known
             and np.array_equal(nodes.tags, np.arange(1, len(nodes.tags) + 1)))
 
 
