@@ -198,7 +198,7 @@ def run_engine(
         "carrying": transfer_of(work, given, outcome, written, options, whence),
         "interpolated": () if vertices is None else fields,
         "refused": wanted.refused + ("insert",) * (given.higher_order and not given.whole)
-        + ("free='layers'",) * (not layers),
+        + ("free='layers'",) * (not layers) + ("free='periodic'",) * work.host.linked,
         "tangle": work.tangle, "curved": curved.facts, "layers": layers,
         "integrals": data.cell_integrals, "point_integrals": data.point_integrals}
     result = Result(

@@ -150,6 +150,7 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
         region_labels({}, regions, nodes)
     several = len(np.unique(where)) > 1
     labels = np.array([tag for _, tag in parts])[where]
+    coupled = _coupled(mesh, parts, places_of)
     return HostMesh(
         points=np.concatenate([part.places for part in parts.values()]),
         cells=nodes[:, : kind.corners],
@@ -159,7 +160,8 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
         kept=tuple(kept),
         source=mesh,
         layout=Layout(parts, number, kind, entity, tags, cells, every),
-        coupled=_coupled(mesh, parts, places_of),
+        coupled=coupled,
+        linked=coupled is not None,
         higher_order=kind.order > 1,
         nodes=nodes if kind.order > 1 else None,
         shape=shape if kind.order > 1 else None,

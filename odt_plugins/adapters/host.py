@@ -167,6 +167,7 @@ class HostMesh:
     anchors : (k,) int or None        vertices that may move but must not be removed
     coupled : (k,) int or None        vertices of faces that correspond to each other, as those of
                                       a periodic mesh, which stay when the boundary slides
+    linked : bool                     whether the writer refuses results that have these elsewhere
     higher_order : bool               whether there are nodes between the corners of the cells
     ids : (m,) int or None            place of every cell among all cells of the object, ascending,
                                       where there may be others; they stay in that order
@@ -196,6 +197,7 @@ class HostMesh:
     words: Callable[[str], str] = str
     anchors: NDArray[Any] | None = None
     coupled: NDArray[Any] | None = None
+    linked: bool = False
     higher_order: bool = False
     ids: NDArray[Any] | None = None
     total: int = 0

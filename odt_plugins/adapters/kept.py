@@ -443,8 +443,9 @@ def hold_places(
     if periodic:
         mesh, count, chance = _hold_periodic(mesh, host.coupled, resized=resized)
         if count:
+            advice = "" if host.linked else "; try free='periodic' to let them slide"
             notes.append(f"{counted(count, 'vertex', 'vertices')} of periodic faces stay, so that "
-                         f"the faces still correspond; try free='periodic' to let them slide")
+                         f"the faces still correspond{advice}")
         if chance:
             notes.append(f"opposite faces of {counted(chance, 'triangle')} match, by chance as it "
                          f"seems, and need not do so afterwards; try boundary='fixed' to keep them")

@@ -116,13 +116,13 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
         msg = (f"got {counted(lost.size, 'point')} in no element (first: point {lost[0]}); "
                f"expected none, try mesh.Compress()")
         raise UnsupportedMeshError(msg)
-    labels = np.array(table["index"], dtype=np.int64)
+    labels, coupled = np.array(table["index"], dtype=np.int64), _coupled(inner)
     return HostMesh(
         points, cells, *region_labels({"material": labels}, regions, cells), kept=tuple(kept),
         source=mesh, layout=Layout(labels, *places), words=in_words,
         blocks=labels - labels.min() if labels.min() != labels.max() else None,
         geometry=None if _on_splines(inner) else _geometry(inner, points, faces, edges),
-        coupled=_coupled(inner),
+        coupled=coupled, linked=coupled is not None,
     )
 
 

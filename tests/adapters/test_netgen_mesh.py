@@ -168,6 +168,9 @@ def test_periodic_identifications_stay():
             apart = places[b.nr - 1] - places[a.nr - 1]
             assert np.abs(apart) == pytest.approx([1, 0, 0], abs=1e-9)
             assert out.GetIdentificationType(number) == IdentificationType.PERIODIC
+    _, report = odt_plugins.optimize_with_report(mesh, boundary="slide")
+    assert "of periodic faces stay" in str(report)
+    assert "free" not in str(report)
     with pytest.raises(UnsupportedMeshError, match="identified points"):
         odt_plugins.optimize(mesh, boundary="slide", free="periodic")
 
