@@ -384,12 +384,14 @@ def _note_inside(
     if not after.body.size:
         return ()
     k = before.cells.shape[1]
-    count = 0
+    count, own = 0, np.zeros(len(before.points), dtype=np.bool_)
     for _, raw, *_ in host.kept:
         if raw.shape[1] == k - 1:
             rows = np.unique(np.sort(np.asarray(raw, dtype=np.int64), axis=1), axis=0)
-            count += int(_hold(before, rows)[1].sum())
-    stays = before.fixed.copy()
+            rows = rows[_hold(before, rows)[1]]
+            count += len(rows)
+            own[rows] = True
+    stays = before.fixed | ~own
     facets = _staying_facets(before, np.arange(len(before.cells)))
     ordered = np.sort(before.cells, axis=1)
     for i in range(k):

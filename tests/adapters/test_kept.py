@@ -52,6 +52,20 @@ def test_facets_inside_tell_what_they_hold_and_how_to_free_it(d):
     assert bare.notes == ()
 
 
+@pytest.mark.parametrize("d", [2, 3])
+def test_vertices_that_stay_for_another_reason_are_not_counted_with_facets_inside(d):
+    """A point with a cell of its own, and one that is in no cell."""
+    points, cells, _ = contract.grid(d, 5, 3)
+    rows, count = facets_of(cells)
+    inside = ((points > 0) & (points < 1)).all(axis=1)
+    rows = rows[count == 2][inside[rows[count == 2]].all(axis=1)][:1]
+    other = np.setdiff1d(np.flatnonzero(inside), rows)[:1]
+    mesh = beside(np.concatenate([points, points[:1] + 5.0]), cells, rows)
+    mesh = meshio.Mesh(mesh.points, [*mesh.cells, ("vertex", other[:, None])])
+    _, report = odt_plugins.optimize_with_report(mesh)
+    assert f"stay with {d} vertices" in " ".join(report.notes)
+
+
 def test_a_surface_between_labels_holds_nothing_more():
     points, cells, _ = contract.grid(3, 4, 3)
     labels = (points[cells].mean(axis=1)[:, 2] > 0.5).astype(np.int64)
