@@ -230,10 +230,13 @@ def _unfold(
 def _with_middles(
     rows: NDArray[np.int64], index: NDArray[np.int64], number_of: dict[Any, int]
 ) -> NDArray[np.int64]:
-    """Lines or triangles of the corners with the nodes of their edges behind."""
+    """Lines or triangles of the corners with the nodes of their edges behind.
+
+    Those of edges that no cell has are -1.
+    """
     pairs = [(0, 1), (1, 2), (2, 0)] if rows.shape[1] == 3 else [(0, 1)]
     ends = np.sort(rows[:, pairs], axis=2)
-    middles = [[number_of[tuple(edge)] for edge in edges] for edges in ends.tolist()]
+    middles = [[number_of.get(tuple(edge), -1) for edge in edges] for edges in ends.tolist()]
     return np.concatenate([index[rows], np.array(middles, dtype=np.int64).reshape(
         len(rows), len(pairs))], axis=1)
 

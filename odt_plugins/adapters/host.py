@@ -343,7 +343,8 @@ class NewFaces(NamedTuple):
 
     Attributes
     ----------
-    rows : (q', r) int      vertices of the result, turned as those they come from
+    rows : (q', r) int      vertices of the result, turned as those they come from; -1 in the
+                            place of nodes that are those of before
     source : (q',) int      the kept cell from which the data of each come, ascending
     """
 
@@ -389,10 +390,12 @@ class Result(NamedTuple):
     def faces_of(self, kept: int, rows: NDArray[Any]) -> NewFaces:
         """What these rows (q, r) of the kept cells of a number have become."""
         new = self.faces[kept] if self.faces else None
-        if new is not None:
-            return new
         number = np.arange(len(self.points)) if self.vertices is None else self.vertices.number
-        return NewFaces(number[rows], np.arange(len(rows)))
+        if new is None:
+            return NewFaces(number[rows], np.arange(len(rows)))
+        if (new.rows < 0).any():
+            new = new._replace(rows=np.where(new.rows < 0, number[rows[new.source]], new.rows))
+        return new
 
     def carried(self, values: NDArray[Any], name: str) -> NDArray[Any]:
         """Cell data (m', ...) of the result from those (m, ...) of the input."""

@@ -77,6 +77,28 @@ def test_meshio_has_a_node_on_every_edge_and_fields_of_second_order_are_exact(sc
     assert same.any()
 
 
+@pytest.mark.parametrize("scale", [0.6, 1.8])
+def test_beams_and_fins_beside_sides_that_are_resized_keep_their_nodes(scale):
+    x, nodes, sides, labels = solid()
+    n, top = len(x), int(np.flatnonzero((x == 1).all(axis=1))[0])
+    [fin] = sides[(x[sides[:, :3]] == [1, 1, 1]).all(axis=2).any(axis=1) & (labels == 6)][:1]
+    x = np.concatenate([x, [[1, 1, 1.5], [1, 1, 1.2], [2, 2, 2], [1.5, 1.5, 1.5], [1.5, 2, 2]]])
+    fin = [fin[0], fin[1], n + 2, fin[3], n + 3, n + 4]
+    edge = nodes[:, [0, 1, 4]]
+    edge = np.unique(edge[(x[edge][:, :, :2] == 0).all(axis=(1, 2))], axis=0)
+    lines = np.concatenate([[[top, n, n + 1]], edge])
+    mesh = meshio.Mesh(x, [("tetra10", nodes), ("triangle6", np.concatenate([[fin], sides])),
+                           ("line3", lines)],
+                       cell_data={"medit:ref": [np.zeros(len(nodes), int), np.append(9, labels),
+                                                np.append(9, np.ones(len(edge), int))]})
+    out = remesh(mesh, scale=scale, free=("periodic",))
+    (_, faces, rows), (_, own, of) = (b.data for b in out.cells), out.cell_data["medit:ref"]
+    assert np.array_equal(out.points[faces[own == 9][0]], x[fin])
+    assert np.array_equal(out.points[rows[of == 9][0]], x[lines[0]])
+    assert areas(out.points, faces, own)[1:7] == pytest.approx(np.ones(6))
+    assert len(faces) != len(sides) + 1
+
+
 def test_as_many_corners_come_as_vertices_are_asked_for():
     x, nodes, *_ = solid(3)
     out = remesh(meshio.Mesh(x, [("tetra10", nodes)]), vertices=200, free=("periodic",))
