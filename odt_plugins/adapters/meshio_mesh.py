@@ -134,8 +134,8 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
     order = 1 if shape is None else int(shape[0, 0])
     kept = tuple(part for i in _others(mesh, chosen) for part in _kept(mesh, i, order))
     if REQUIRED in mesh.point_sets:
-        kept = (*kept, KeptCells("required vertex",
-                                 np.asarray(mesh.point_sets[REQUIRED]).reshape(-1, 1)))
+        required = np.asarray(mesh.point_sets[REQUIRED])
+        kept = (*kept, of_other_shape("required vertex", required, np.array([len(required)])))
     alone = [block.data for block in mesh.cells if block.type == "vertex" and len(block.data)]
     if alone:
         kept = (*kept, KeptCells(CELL_VERTEX, _rows(alone).reshape(-1, 1)))

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import re
+
 import meshio
 import numpy as np
 import pytest
-from boxes import FACES, box
+from boxes import FACES, box, rim
 
 from odt_plugins import remesh
 from odt_plugins.adapters.files import read_file, write_file
 from odt_plugins.api import optimize_file
+from odt_plugins.errors import DataNotKeptWarning
 
 
 def solid(n=4):
@@ -148,3 +151,58 @@ def test_required_sections_of_medit_stay_where_vertices_came(tmp_path):
     assert np.array_equal(theirs.points[:4], points[:4])
     assert np.array_equal(theirs.point_data["medit:ref"][: len(points)],
                           np.arange(len(points)) % 3)
+
+
+def medit(path):
+    """Words behind every section of a file of MEDIT."""
+    found = re.split(r"([A-Z]\w+)\s", path.read_text())[1:]
+    return {name: np.array(body.split(), float) for name, body in
+            zip(found[::2], found[1::2], strict=True)}
+
+
+@pytest.mark.parametrize("scale", [0.5, 1.7])
+def test_corners_ridges_and_what_is_required_in_medit_follow_where_vertices_came_and_went(
+        scale, tmp_path):
+    source, target = tmp_path / "a.mesh", tmp_path / "b.mesh"
+    points, cells = box(3, 6)
+    sides = rim(cells)
+    on = (points == 0) | (points == 1)
+    edges = np.unique(np.sort(sides[:, [[0, 1], [1, 2], [2, 0]]], axis=2).reshape(-1, 2), axis=0)
+    ridge = (on[edges].all(axis=1) & (points[edges[:, 0]] == points[edges[:, 1]])).sum(axis=1) == 2
+    line = ((points[edges] == [0.5, 0.5, 1])[:, :, 1:]).all(axis=(1, 2))
+    lines = np.concatenate([edges[line], edges[ridge]])
+    corners = np.flatnonzero(on.all(axis=1))
+    held = np.flatnonzero((points[sides][:, :, 2] == 0).all(axis=1))[20:23]
+    tops = np.unique(sides[(points[sides][:, :, 2] == 1).all(axis=1)])
+    source.write_text(
+        f"MeshVersionFormatted 2\nDimension 3\nRidges\n{ridge.sum()}\n"
+        + rows([line.sum() + k + 1] for k in range(ridge.sum())) + f"Vertices\n{len(points)}\n"
+        + rows([*x, 0] for x in points.tolist()) + f"Edges\n{len(lines)}\n"
+        + rows([*row, 5 if k < line.sum() else 6] for k, row in enumerate((lines + 1).tolist()))
+        + f"Triangles\n{len(sides)}\n" + rows([*row, 4] for row in (sides + 1).tolist())
+        + f"Tetrahedra\n{len(cells)}\n" + rows([*row, 1] for row in (cells + 1).tolist())
+        + "Corners\n8\n" + rows((corners + 1)[:, None]) + "RequiredTriangles\n3\n"
+        + rows((held + 1)[:, None]) + "RequiredTetrahedra\n2\n9\n400\nRequiredEdges\n1\n2\n"
+        + f"Normals\n1\n0 0 1\nNormalAtVertices\n{len(tops)}\n"
+        + rows([v + 1, 1] for v in tops) + "End\n")
+    with pytest.warns(DataNotKeptWarning, match="the sections NormalAtVertices, Normals;"):
+        write_file(target, remesh(read_file(source), scale=scale, free=("periodic",)))
+    out = medit(target)
+    assert not {"Normals", "NormalAtVertices"} & set(out)
+    x = out["Vertices"][1:].reshape(-1, 4)[:, :3]
+    assert len(x) != len(points)
+
+    def places(name, width, which):
+        table = out[name][1:].reshape(-1, width)[:, :-1].astype(int) - 1
+        return x[table if which is None else table[out[which][1:].astype(int) - 1]]
+
+    ends = places("Edges", 3, "Ridges")
+    assert np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1).sum() == pytest.approx(12)
+    assert (((ends == 0) | (ends == 1)).all(axis=1).sum(axis=1) == 2).all()
+    assert out["Edges"][0] - out["Ridges"][0] == (out["Edges"][1:].reshape(-1, 3)[:, 2] == 5).sum()
+    assert {*map(tuple, places("Triangles", 4, "RequiredTriangles").reshape(3, 9))} == {
+        *map(tuple, points[sides[held]].reshape(3, 9))}
+    assert {*map(tuple, places("Tetrahedra", 5, "RequiredTetrahedra").reshape(2, 12))} == {
+        *map(tuple, points[cells[[8, 399]]].reshape(2, 12))}
+    assert np.array_equal(places("Edges", 3, "RequiredEdges")[0], points[lines[1]])
+    assert {*map(tuple, x[out["Corners"][1:].astype(int) - 1])} == {*map(tuple, points[corners])}

@@ -30,7 +30,10 @@ REQUIRED = "medit:required"
 AT_VERTICES = ("Corners", "RequiredVertices")
 """Sections of numbers of vertices."""
 
-AT_CELLS = {"Ridges": "Edges"} | {f"Required{name}": name for name in CELLS}
+RIDGES = "Ridges"
+"""Section of edges that are ridges, and so are those that they become."""
+
+AT_CELLS = {RIDGES: "Edges"} | {f"Required{name}": name for name in CELLS}
 """Sections of numbers of cells, and the section of these."""
 
 SCALARS = ("MeshVersionFormatted", "Dimension")
@@ -128,25 +131,30 @@ def write(path: Path, mesh: Any, binary: bool | None = None) -> list[str]:
 def rewrite(source: Path, target: Path, change: Change) -> list[str]:
     """Replace the places of vertices that moved, and the optimised cells with their references.
 
+    Numbers of corners, of ridges and of what is required follow. Where vertices came or went,
+    sections that are not known are left out.
+
     Raises
     ------
-    NotRewritable    it is binary, what sections refer to was exchanged or went, or vertices came or
-                     went and it has sections that are not known
+    NotRewritable    it is binary, or its cells of one kind are in several sections
     """
     if ".meshb" in (source.suffix.lower(), target.suffix.lower()):
         raise NotRewritable
     data = source.read_bytes()
     words, sections = _parsed(data)
-    names = {section.name for section in sections if section.size}
-    more = names - {*CELLS, *SCALARS, *AT_VERTICES, *AT_CELLS, "Vertices"}
-    if change.renumbered and more:
-        msg = f"vertices came or went, and it has {', '.join(sorted(more))}"
-        raise NotRewritable(msg)
+    names = [section.name for section in sections if section.size]
+    more = {*names} - {*CELLS, *SCALARS, *AT_VERTICES, *AT_CELLS, "Vertices"}
+    more = more if change.renumbered else set()
     edits: list[tuple[int, int, bytes]] = []
+    lost: list[str] = []
     block = 0
     for section in sections:
-        if section.name in AT_VERTICES and change.renumbered:
-            edits += _numbers(words, section, change)
+        if section.name in more:
+            edits.append(_cut(data, words, section))
+        if section.name in AT_VERTICES and section.size and change.renumbered:
+            now = change.number[_numbers(words, section)]
+            edits += _listed(data, words, section, now[now >= 0])
+            lost += _gone(section, int((now < 0).sum()))
         if section.name == "Vertices" and change.renumbered:
             edits += _vertices(data, words, section, change)
         elif section.name == "Vertices":
@@ -162,36 +170,63 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
         fresh = change.exchanged(block)
         same = len(rows) == section.size and np.array_equal(rows, np.arange(section.size))
         if fresh.any() or not same or change.renumbered:
-            told = sorted(name for name in names if AT_CELLS.get(name) == section.name)
-            if told and not same:
-                msg = f"{section.name.lower()} were exchanged, and it has {', '.join(told)}"
+            told = [other for other in sections
+                    if other.size > 0 and AT_CELLS.get(other.name) == section.name]
+            if told and names.count(section.name) > 1:
+                msg = f"it has several sections {section.name}, which were exchanged"
                 raise NotRewritable(msg)
+            for other in told:
+                was = _numbers(words, other)
+                stays = np.isin(rows, was) & ~(fresh & (other.name != RIDGES))
+                edits += _listed(data, words, other, np.flatnonzero(stays))
+                lost += _gone(other, (other.name != RIDGES) * len(np.setdiff1d(was, rows[stays])))
             edits += _cells(data, words, section, cells, np.asarray(
                 change.after.cell_data[REF][block]), keep=same)
         block += 1
     target.write_bytes(edited(data, edits))
     medit_solution.write(target, np.shape(change.after.points)[1], change.after.point_data)
-    stale = "Normals" in names and bool(change.moved.any())
-    return ["the normals, which are those of before"] if stale else []
+    if "Normals" in {*names} - more and change.moved[_with_normals(words, sections)].any():
+        lost.append("the normals, which are those of before")
+    return lost + ([f"the sections {', '.join(sorted(more))}"] if more else [])
 
 
-def _numbers(
-    words: list[tuple[bytes, int, int]], section: _Section, change: Change
+def _numbers(words: list[tuple[bytes, int, int]], section: _Section) -> Any:
+    """Vertices or cells (n,) that a section lists."""
+    return np.array([int(word[0]) for word in words[section.start: section.stop]]) - 1
+
+
+def _with_normals(words: list[tuple[bytes, int, int]], sections: list[_Section]) -> Any:
+    """Vertices that have normals; all where it is others that have them."""
+    at = [section for section in sections if section.name == "NormalAtVertices"]
+    return _numbers(words, at[0])[::2] if at else slice(None)
+
+
+def _listed(
+    data: bytes, words: list[tuple[bytes, int, int]], section: _Section, now: Any
 ) -> list[tuple[int, int, bytes]]:
-    """What replaces numbers of vertices.
+    """What replaces the numbers of vertices or cells in a section."""
+    if np.array_equal(np.sort(now), np.sort(_numbers(words, section))):
+        return []
+    span = words[section.start: section.stop]
+    end = b"\r\n" if b"\r\n" in data else b"\n"
+    _, start, stop = words[section.start - 1]
+    return [(start, stop, str(len(now)).encode()),
+            (span[0][1], span[-1][2], end.join(str(i + 1).encode() for i in now.tolist()))]
 
-    Raises
-    ------
-    NotRewritable    one of them went
-    """
-    edits, number = [], change.number
-    for word, start, stop in words[section.start: section.stop]:
-        v = int(number[int(word) - 1])
-        if v < 0:
-            msg = f"a vertex of {section.name} went"
-            raise NotRewritable(msg)
-        edits.append((start, stop, str(v + 1).encode()))
-    return edits
+
+def _gone(section: _Section, count: int) -> list[str]:
+    """What is lost of a section whose vertices or cells went."""
+    return [f"{count} of the {section.name}, which went"] if count else []
+
+
+def _cut(
+    data: bytes, words: list[tuple[bytes, int, int]], section: _Section
+) -> tuple[int, int, bytes]:
+    """What takes a section away."""
+    stop = words[section.stop - 1][2]
+    while data[stop: stop + 1] in (b"\r", b"\n"):
+        stop += 1
+    return words[section.start - 2][1], stop, b""
 
 
 def _vertices(
