@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 
-from odt_plugins.errors import InvalidOptionError, plain_values
+from odt_plugins.errors import InvalidOptionError, expect, plain_values
 from odt_plugins.keywords import OptionKeywords, with_option_signature
 from odt_plugins.mesh.bodies import of_bodies
 from odt_plugins.mesh.facets import directed_facets
@@ -188,11 +188,12 @@ def _wish(size: Any, wishes: dict[str, Any], *, metric: bool) -> Wish:
     wishes = {name: plain_values(name, value) for name, value in wishes.items()}
     adapt, length = wishes.get("adapt"), None
     size = plain_values("size", size)
-    names = [adapt or ""] if isinstance(adapt, str | None) else adapt
+    names = () if adapt is None else [adapt] if isinstance(adapt, str) else adapt
     if not isinstance(names, list | tuple) or not all(isinstance(name, str) for name in names):
         msg = (f"got adapt= of type {type(adapt).__name__}; expected names of point arrays, try "
                f"metric=odt_plugins.metric_from_field(mesh, values, cells) for values")
         raise InvalidOptionError(msg)
+    expect("" not in names, "adapt", adapt, "names of point arrays")
     if adapt and metric:
         msg = "got adapt= and metric=; expected one of them"
         raise InvalidOptionError(msg)

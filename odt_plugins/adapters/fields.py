@@ -23,6 +23,9 @@ STAY = re.compile(
 """Names, in small letters and without anything but letters, of arrays that say who a vertex is, or
 that are computed anew, and which stay whatever their type."""
 
+OF_TENSORS = {2: (3, 4), 3: (6, 9)}
+"""How many numbers a symmetric tensor has, by the dimension."""
+
 
 def field_names(
     arrays: Mapping[str, NDArray[Any]], besides: Collection[str | None] = ()
@@ -69,8 +72,11 @@ def named_metric(host: HostMesh, name: str) -> NDArray[Any]:
     known = {key: values for key, values in numbers(host.fields).items() if values.ndim > 1}
     if name in known:
         return known[name]
+    d = host.points.shape[1]
+    tensors = [key for key, values in known.items()
+               if values.dtype.kind == "f" and values[:1].size in OF_TENSORS[d]]
     msg = (f"got metric={name!r}; expected 'input', or the name of a point array of symmetric "
-           f"tensors of this mesh, it has {', '.join(known) or 'none'}")
+           f"tensors of this mesh, it has {', '.join(tensors) or 'none'}")
     raise InvalidOptionError(msg)
 
 
@@ -85,7 +91,8 @@ def named_array(host: HostMesh, name: str) -> NDArray[Any]:
     """
     points, cells = numbers(host.fields), host.densities
     if name not in points and name not in cells:
-        known = [*(f"{key} (point)" for key in points), *(f"{key} (cell)" for key in cells)]
+        known = [f"{key} ({at})" for at, arrays in (("point", points), ("cell", cells))
+                 for key, values in arrays.items() if values.ndim == 1 and values.dtype.kind == "f"]
         msg = (f"got size={name!r}; expected the name of a point or cell array of floating-point "
                f"numbers of this mesh, it has {', '.join(known) or 'none'}")
         raise InvalidOptionError(msg)

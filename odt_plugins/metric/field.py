@@ -144,7 +144,10 @@ def adapted_metric(
 ) -> FloatArray:
     """The metric of point arrays for so many cells, or about so many vertices."""
     listed = [names] if isinstance(names, str) else list(names)
-    return metric_from_field(mesh, listed, cells or 5 * (vertices or 1), growth=growth)
+    try:
+        return metric_from_field(mesh, listed, cells or 5 * (vertices or 1), growth=growth)
+    except InvalidOptionError as exc:
+        raise InvalidOptionError(str(exc).replace("got field ", "got adapt=", 1)) from exc
 
 
 def hessians_to_metric(

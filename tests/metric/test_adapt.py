@@ -50,7 +50,8 @@ def test_a_batch_is_adapted(tmp_path):
 @pytest.mark.parametrize(("flags", "message"), [
     (["--adapt", "temperature", "--cells", "100", "--metric", "input"], "got --adapt and --metric"),
     (["--adapt", "temperature"], "got --adapt without a number of cells; expected --cells or"),
-    (["--adapt", "heat", "--cells", "100"], "got field 'heat'; expected the name of a point array"),
+    (["--adapt", "heat", "--cells", "100"], "got --adapt heat; expected the name of a point array"),
+    (["--adapt", "", "--cells", "100"], "got --adapt '';"),
 ])
 def test_what_cannot_be_adapted_to_is_refused(flags, message, tmp_path, capsys):
     stored(tmp_path)

@@ -119,3 +119,10 @@ def test_values_in_place_of_names_are_refused_with_what_takes_them(adapt):
     mesh = np.eye(4)[:, :3], np.array([[3, 0, 1, 2]])
     with pytest.raises(InvalidOptionError, match=r"of type \w+; expected names .* try metric="):
         odt_plugins.remesh(mesh, adapt=adapt, cells=10)
+
+
+@pytest.mark.parametrize("adapt", ["", ["u", ""], ("",)])
+def test_an_empty_name_of_a_field_is_refused(adapt):
+    mesh = np.eye(4)[:, :3], np.array([[3, 0, 1, 2]])
+    with pytest.raises(InvalidOptionError, match=r"got adapt=.*; expected names of point arrays"):
+        odt_plugins.remesh(mesh, adapt=adapt, cells=10)

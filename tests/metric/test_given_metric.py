@@ -124,10 +124,11 @@ def test_ratios_up_to_a_million_are_taken_however_they_are_turned(d):
 
 
 def test_names_of_arrays_of_tensors():
-    arrays = {"u": np.ones(3), "m": np.ones((3, 6))}
+    arrays = {"u": np.ones(3), "m": np.ones((3, 6)), "v": np.ones((3, 3)),
+              "z": 1j * np.ones((3, 6))}
     host = HostMesh(np.zeros((3, 3)), np.array([[0, 1, 2]]), fields=arrays)
     assert named_metric(host, "m") is arrays["m"]
-    for name in ("u", "v"):
+    for name in ("u", "w"):
         with pytest.raises(InvalidOptionError, match=f"got metric='{name}'; .* it has m$"):
             named_metric(host, name)
 

@@ -225,7 +225,7 @@ def test_fields_that_are_linear_take_no_cells_from_others():
 def test_of_several_fields_the_one_that_is_refused_is_named():
     mesh = layers()
     mesh.point_data |= {"hole": np.full(len(mesh.points), np.nan), "wave": mesh.points[:, 0] * 1j}
-    said = {"hole": "got field 'hole' with NaN", "wave": "got field 'wave'; .*hole$"}
+    said = {"hole": "got adapt='hole' with NaN", "wave": "got adapt='wave'; .*hole$"}
     for name, message in said.items():
         with pytest.raises(InvalidOptionError, match=message):
             odt_plugins.remesh(mesh, adapt=["u", name], cells=100)
