@@ -24,7 +24,7 @@ from odt_plugins.generate.project import Target, make_target
 from odt_plugins.generate.uniform import read_linear
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.simplex import diagonal, mesh_arrays, simplex_mesh, vertices_of
-from odt_plugins.options import Options, Progress
+from odt_plugins.options import EDGE_LENGTH, Options, Progress
 from odt_plugins.tetwild import run_tetwild
 
 TETWILD_PART = 0.75
@@ -69,6 +69,10 @@ def coarse_mesh(
     points, cells = mesh_arrays(host.points, host.cells)
     if cells.shape[1] == 4:
         read_linear(mesh)
+        if edge_length != EDGE_LENGTH:
+            msg = (f"got edge_length={edge_length} for a mesh of tetrahedra, where it has no "
+                   "effect; expected it for a surface, try odt_plugins.remesh for other sizes")
+            raise InvalidOptionError(msg)
         simplex, _ = simplex_mesh(points, cells)
         if surface is None:
             target = make_target(simplex.points, boundary_facets(simplex.cells), angle)

@@ -128,7 +128,8 @@ def refine(
         return refine_with_report(
             mesh, levels, surface=surface, edge_length=edge_length, **options)[0]
     check_levels(levels, edge_length, {})
-    other = "surface" if surface is not None else next(iter(options), None)
+    given = {"surface": surface is not None, "edge_length": edge_length != EDGE_LENGTH}
+    other = next((name for name in (*given, *options) if given.get(name, True)), None)
     if other is not None:
         msg = f"got {other}= with optimize=False, where it has no effect; expected optimize=True"
         raise InvalidOptionError(msg)

@@ -337,6 +337,7 @@ def test_what_has_no_meaning_is_refused_with_one_sentence(meshed, monkeypatch):
         (mesh, {"levels": True}, "got levels=True"),
         (mesh, {"envelope": 0.0}, r"got envelope=0.0; expected a part of the diagonal"),
         (mesh, {"edge_length": -1.0}, "got edge_length=-1.0"),
+        (mesh, {"edge_length": 0.3}, "got edge_length=0.3 for a mesh of tetrahedra, where it has"),
         (mesh, {"insert": True}, "got insert=True"),
         (mesh, {"insert": 0.5}, "got insert=0.5"),
         (mesh, {"regions": np.zeros(len(mesh[1]), int)}, "got regions as an array"),
@@ -347,6 +348,8 @@ def test_what_has_no_meaning_is_refused_with_one_sentence(meshed, monkeypatch):
     for given_, options, words in cases:
         with pytest.raises(InvalidOptionError, match=words):
             odt_plugins.refine_with_report(given_, **options)
+    with pytest.raises(InvalidOptionError, match="got edge_length= with optimize=False"):
+        odt_plugins.refine(sphere, optimize=False, edge_length=0.3)
     open_ = sphere[0], sphere[1][1:]
     for given_, options, words in (
         (open_, {}, r"not closed: 3 edges \(first: between vertices .*\) belong to an odd"),
