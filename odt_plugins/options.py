@@ -150,9 +150,9 @@ class Smoothing:
         _check_fields(self)
         good = self.exponent is None or (
             is_number(self.exponent) and 0 < self.exponent < float("inf"))
-        expect(good, *worded("exponent", self.exponent), "a positive number or None")
+        expect(good, *worded("exponent", self.exponent), "a positive number")
         good = self.omega is None or (is_number(self.omega) and 0 < self.omega <= 3)
-        expect(good, *worded("omega", self.omega), "a number above 0 and at most 3, or None")
+        expect(good, *worded("omega", self.omega), "a number above 0 and at most 3")
 
     def __repr__(self) -> str:
         return repr({name: getattr(self, name) for name, about in SMOOTHING.items()
@@ -321,10 +321,10 @@ class Options:
             expect(good, "density", self.density, what)
         keeps = isinstance(self.density, str) and self.density == "keep"
         good = lab.exponent is None or keeps
-        expect(good, *worded("exponent", lab.exponent), "None unless density is 'keep'")
+        expect(good, *worded("exponent", lab.exponent), "none unless density is 'keep'")
         local = lab.solver in ("gauss-seidel", "jacobi") and self.method != "cvt"
         good = lab.omega is None or local
-        expect(good, *worded("omega", lab.omega), "None unless the solver is a local sweep")
+        expect(good, *worded("omega", lab.omega), "none unless the solver is a local sweep")
         good = lab.linear_solver == "auto" or lab.solver == "global"
         what = "'auto' unless solver is 'global'"
         expect(good, *worded("linear_solver", lab.linear_solver), what)

@@ -690,9 +690,11 @@ def test_a_printed_report_names_flags(tmp_path, monkeypatch, capsys):
      "--envelope for triangles in the plane whose boundary stays"),
     ("optimize ball.vtu o.vtu --block-rounds 2", "expected --blocks beside it"),
     ("optimize ball.vtu o.vtu --smoothing omega=1.5 --smoothing solver=global",
-     "expected None unless the solver is a"),
+     "expected none unless the solver is a"),
+    ("optimize ball.vtu o.vtu --smoothing omega=4", "a number above 0 and at most 3"),
+    ("optimize ball.vtu o.vtu --smoothing exponent=-1", "expected a positive number"),
     ("optimize ball.vtu o.vtu --smoothing omega=1.5 --method cvt",
-     "expected None unless the solver is a"),
+     "expected none unless the solver is a"),
     ("tetrahedralize skin.vtu o.vtu --feature-angle 30", "--boundary slide or --levels"),
     ("batch ball.vtu --out o --edge-length 0.1", "expected --tetrahedralize beside it"),
     ("optimize ball.vtu o.e --ascii", "expected no choice, the format has only"),
@@ -717,6 +719,7 @@ def test_flags_without_effect_are_refused(tmp_path, monkeypatch, capsys, words, 
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == 1
     assert said in lines[0]
+    assert "None" not in lines[0]
     assert not Path("o.vtu").exists()
 
 
