@@ -104,7 +104,7 @@ def run_parts(
                 note = f"{count} at the rim of another {whole.PART} stay, so that it stays there"
                 report = replace(report, notes=(*report.notes, note))
             results.append(result)
-            reports.append(report)
+            reports.append(replace(report, name=name))
     return whole.replaced(mesh, dict(zip(names, results, strict=True))), reports
 
 

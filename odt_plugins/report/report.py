@@ -108,6 +108,7 @@ class Report:
                                             `meshes` are; not in :meth:`to_dict`
     parts : tuple of Report                 of an object of several meshes, those of each; the
                                             figures are those of all together then
+    name : str                              of such a mesh: that of the block, geometry or mesh
     """
 
     dim: int
@@ -144,6 +145,7 @@ class Report:
     carrying: Any = dataclasses.field(default=None, repr=False, compare=False)
     plane: Any = dataclasses.field(default=None, repr=False, compare=False)
     parts: tuple[Report, ...] = ()
+    name: str = ""
 
     @property
     def movable_share(self) -> float:

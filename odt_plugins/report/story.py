@@ -64,7 +64,7 @@ def story(report: Any) -> list[str]:
         lines += ["", "what binds the minimum:"]
         lines += [f"  {line}" for line in joined_lines(report.binding, 5)]
     for number, part in enumerate(report.parts):
-        lines += ["", f"part {number}", *str(part).split("\n")]
+        lines += ["", f"part {number} {part.name!r}", *str(part).split("\n")]
     return lines
 
 

@@ -173,7 +173,8 @@ def test_a_model_of_open3d_is_optimised_mesh_by_mesh():
     assert [info.mesh_name for info in out.meshes] == ["left", "nothing", ""]
     assert [info.material_idx for info in out.meshes] == [0, 0, 0]
     assert [m.shader for m in out.materials] == ["defaultUnlit"]
-    assert len(whole.parts) == 2
+    assert [report.name for report in whole.parts] == ["left", "mesh 2"]
+    assert "\npart 0 'left'\n" in str(whole)
     after = [np.asarray(out.meshes[i].mesh.vertices) for i in (0, 2)]
     assert shared(*after) == shared(*before)
     assert all((new != old).any() for new, old in zip(after, before, strict=True))
