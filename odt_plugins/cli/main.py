@@ -362,6 +362,7 @@ def batch(
         except batches.Stopped as exc:
             rows, stopped = exc.rows, exc
         seconds = time.perf_counter() - clock
+        rows = [row | {"message": in_flags(row["message"])} for row in rows]
         words = command_line(click.get_current_context())
         summary.write_summary(out, rows, words, options["threads"], seconds)
     if not quiet:

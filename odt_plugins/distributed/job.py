@@ -38,7 +38,7 @@ WRITTEN = ("ok", PARTLY)
 """Status of inputs that have a result."""
 
 REFUSED = ("bad_alloc", "Cannot allocate memory", "Resource temporarily unavailable",
-           "out of memory")
+           "out of memory", "failed to map segment", "Memory allocation still failed")
 """What libraries say of memory that the system refuses them, for the stack of a thread as well."""
 
 

@@ -49,6 +49,12 @@ def test_a_batch_remeshes_small_files_in_one_process(ball, tmp_path):
     assert cli.main(["batch", str(other), "--out", str(out), "--scale", "-1"]) == 2
 
 
+def test_a_row_of_a_batch_names_options_by_their_flags(ball, tmp_path):
+    out = tmp_path / "out"
+    assert cli.main(["batch", str(ball[0]), "--out", str(out), "--size", "g", "--quiet"]) == 1
+    assert "got --size g; expected the name of" in (out / "summary.csv").read_text()
+
+
 def test_a_size_without_a_character_is_refused_as_a_size(ball, tmp_path, capsys):
     assert cli.main(["remesh", str(ball[0]), str(tmp_path / "out.vtu"), "--size", ""]) == 2
     assert "got --size ''; expected a length, " in capsys.readouterr().err

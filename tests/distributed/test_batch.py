@@ -27,7 +27,7 @@ from odt_plugins.cli import main as cli
 from odt_plugins.compare.start import ball
 from odt_plugins.distributed import batch, cluster
 from odt_plugins.distributed.batch import HIDDEN, Job, find_inputs, job_key, make_jobs, run_batch
-from odt_plugins.distributed.job import COMPILING, MOST, RESULT, compiling, outside
+from odt_plugins.distributed.job import COMPILING, MOST, RESULT, beyond_limit, compiling, outside
 from odt_plugins.distributed.scratch import GONE, clear, make_scratch
 from odt_plugins.errors import InvalidOptionError, MeshFileError, MissingDependencyError
 from odt_plugins.figures import QualitySummary
@@ -266,6 +266,14 @@ def test_memory_that_a_limit_refuses_a_library_is_told_as_such(place, suffix):
         ends.append((row["status"], row["message"]))
     assert ends[0][0] == ("failed" if suffix == "throw" else "crashed")
     assert ends[1] == ("memory", "more than 3 GB needed")
+
+
+@pytest.mark.parametrize("said", [
+    "ImportError: libopenblas.so: failed to map segment from shared object",
+    "OpenBLAS error: Memory allocation still failed after 10 retries, giving up."])
+def test_memory_that_a_limit_refuses_while_libraries_are_loaded_is_told_as_such(said):
+    assert beyond_limit(said, 10**8)
+    assert not beyond_limit(said, None)
 
 
 def test_an_input_without_end_is_given_up(place):
