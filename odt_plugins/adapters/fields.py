@@ -81,7 +81,7 @@ def named_metric(host: HostMesh, name: str) -> NDArray[Any]:
 
 
 def named_array(host: HostMesh, name: str) -> NDArray[Any]:
-    """Find the point array (n,) or cell array (m,) of a mesh that has a name.
+    """Find the point array (n,) or cell array (m,) of a mesh that has a name; (n, 1) is one, too.
 
     Values of as many cells as there are vertices come as their means at the vertices.
 
@@ -92,15 +92,17 @@ def named_array(host: HostMesh, name: str) -> NDArray[Any]:
     points, cells = numbers(host.fields), host.densities
     if name not in points and name not in cells:
         known = [f"{key} ({at})" for at, arrays in (("point", points), ("cell", cells))
-                 for key, values in arrays.items() if values.ndim == 1 and values.dtype.kind == "f"]
+                 for key, values in arrays.items()
+                 if values.dtype.kind == "f" and values[:1].size == 1]
         msg = (f"got size={name!r}; expected the name of a point or cell array of floating-point "
                f"numbers of this mesh, it has {', '.join(known) or 'none'}")
         raise InvalidOptionError(msg)
     values = points[name] if name in points else cells[name]
-    if values.ndim != 1 or values.dtype.kind == "c":
+    if values[:1].size != 1 or values.dtype.kind == "c":
         msg = (f"got size={name!r}, an array of shape {values.shape} and {values.dtype}; expected "
                f"one real number for each")
         raise InvalidOptionError(msg)
+    values = values.reshape(-1)
     n, rows = len(host.points), np.asarray(host.cells, dtype=np.int64)
     if name in points or len(values) != n:
         return values

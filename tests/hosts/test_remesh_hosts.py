@@ -71,10 +71,13 @@ def test_open3d_as_methods_of_its_meshes(ball):
     assert share_in(x, np.asarray(out.triangles)) > 0.97
     assert np.asarray(out.vertex_colors) == pytest.approx(0.5 + 0.5 * x, abs=0.03)
     tensor = open3d.t.geometry.TriangleMesh.from_legacy(mesh)
-    tensor.vertex["h"] = open3d.core.Tensor(np.full(len(points), SIZE))
+    tensor.vertex["h"] = open3d.core.Tensor(np.full((len(points), 1), SIZE))
+    tensor.vertex["v"] = open3d.core.Tensor(points)
     tensor.vertex["id"] = open3d.core.Tensor(np.arange(len(points)))
     tensor.triangle["part"] = open3d.core.Tensor(part)
     out = tensor.remesh_odt("h", **WITHIN)
+    with pytest.raises(InvalidOptionError, match=r"got size='k'; .* it has h \(point\)$"):
+        tensor.remesh_odt("k", **WITHIN)
     x, rows = out.vertex["positions"].numpy(), out.triangle["indices"].numpy()
     assert halves_are_where_they_were(x, rows, out.triangle["part"].numpy())
     assert len(out.vertex["id"]) == len(x) < len(points)
