@@ -191,6 +191,8 @@ def _add_from_file(meshes: Any, mesh: Any, result: Result) -> None:
     A PLY file is the only way into MeshLab that holds a selection; custom attributes are added
     last, since some filters crash in their presence.
     """
+    from pymeshlab import MeshSet
+
     bare = without_pictures(mesh)
     names, numbers = textures(bare)
     attributes = custom_attributes(bare)
@@ -203,7 +205,13 @@ def _add_from_file(meshes: Any, mesh: Any, result: Result) -> None:
             _save_picture(pictures[name], Path(folder) / file)
         path = Path(folder) / "mesh.ply"
         path.write_bytes(pymeshlab_ply.encode(mesh, result, files, numbers))
-        meshes.load_new_mesh(str(path))
+        if mesh.label() or files:
+            meshes.load_new_mesh(str(path))
+        else:
+            # A mesh of a file without a label has the name of the file.
+            read = MeshSet()
+            read.load_new_mesh(str(path))
+            meshes.add_mesh(read.current_mesh())
     _complete(meshes, mesh)
     inner = meshes.current_mesh()
     for attribute in attributes:

@@ -217,6 +217,17 @@ def test_data_of_the_mesh_survive(name, what):
     assert len(before)
 
 
+def test_a_mesh_without_a_label_comes_back_without_one():
+    given = plates()
+    given.current_mesh().set_label("")
+    whole = odt_plugins.optimize(given, keep=())
+    out, other = (meshes.current_mesh() for meshes in (whole, done("optimize")[1]))
+    for what, of in (PER_VERTEX | PER_FACE | PER_MESH).items():
+        assert np.array_equal(of(out), "" if what == "label" else of(other)), what
+    for mesh in (out, pymeshlab.Mesh(out.vertex_matrix(), out.face_matrix())):
+        assert odt_plugins.remesh(mesh, scale=0.8).label() == ""
+
+
 @pytest.mark.parametrize("what", OF_THE_SET)
 @pytest.mark.parametrize("name", ALL)
 def test_the_rest_of_the_set_survives(name, what):
