@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import meshio
 import numpy as np
 import pytest
+import surface_meshes
 from scipy.spatial import Delaunay
 
 import odt_plugins
 from odt_plugins.adapters.files import read_file, write_file
 from odt_plugins.api import optimize_file
+from odt_plugins.errors import DataNotKeptWarning
 
 NAMES = [("off:texture",), ("Texture Coordinates",), ("TCoords",), ("s", "t"),
          ("texture_u", "texture_v"), ("u", "v")]
@@ -127,3 +131,36 @@ def test_seams_of_the_texture_of_an_obj_file_stay_where_charts_are_regions(how, 
     assert (np.abs(uv[..., 0] - 0.5)[seam] == 0.5).all()
     assert np.abs(uv[..., 0] - 0.5).max() == 0.5
     assert np.ptp(uv[..., 0], axis=1).max() < 0.3
+
+
+@pytest.mark.parametrize("how", [odt_plugins.optimize, partial(odt_plugins.remesh, scale=0.8)])
+def test_materials_and_pictures_are_copied_beside_another_place(how, tmp_path):
+    points, cells = surface_meshes.sphere(1)
+    inside, out = tmp_path / "in", tmp_path / "out"
+    (inside / "sub").mkdir(parents=True)
+    out.mkdir()
+    for name, text in (
+            ("two words.mtl", "newmtl a\nmap_Kd -s 1 1 1 a b.png\nmap_Bump sub/c.png\n"),
+            ("b.mtl", "new"), ("a b.png", "picture"), ("sub/c.png", "other"), ("d.png", "third")):
+        (inside / name).write_text(text)
+    (out / "b.mtl").write_text("own")
+    lines = ["v {!r} {!r} {!r}".format(*p) for p in points.tolist()]
+    lines += ["f {} {} {}".format(*(row + 1)) for row in cells]
+    lines = ["mtllib two words.mtl", "mtllib b.mtl", *lines, ""]
+    (inside / "m.obj").write_text("\n".join(lines))
+    mesh = read_file(inside / "m.obj")
+    with pytest.warns(DataNotKeptWarning, match="sub/c.png is not copied beside the result"):
+        write_file(out / "m.obj", how(mesh))
+    assert {p.name for p in out.iterdir()} == {"m.obj", "two words.mtl", "b.mtl", "a b.png"}
+    assert [(out / name).read_text() for name in ("b.mtl", "a b.png")] == ["own", "picture"]
+    ply = ["ply", "format ascii 1.0", "comment TextureFile d.png", f"element vertex {len(points)}",
+           *(f"property double {x}" for x in "xyz"), f"element face {len(cells)}",
+           "property list uchar int vertex_indices", "end_header",
+           *("{!r} {!r} {!r}".format(*p) for p in points.tolist()),
+           *("3 {} {} {}".format(*row) for row in cells.tolist())]
+    (inside / "m.ply").write_text("\n".join(ply) + "\n")
+    write_file(out / "m.ply", how(read_file(inside / "m.ply")))
+    assert (out / "d.png").read_text() == "third"
+    kept = {p: p.stat().st_mtime_ns for p in inside.iterdir() if p.is_file()}
+    write_file(inside / "n.obj", how(mesh))
+    assert {p: p.stat().st_mtime_ns for p in kept} == kept

@@ -71,6 +71,7 @@ from odt_plugins.adapters.formats import (
     xdmf_copy,
 )
 from odt_plugins.adapters.formats.change import Change
+from odt_plugins.adapters.formats.named_files import with_named
 
 READERS: dict[str, Callable[[Path], Any]] = {
     "abaqus": abaqus.read, "avsucd": avsucd.read, "cgns": hdf.cgns,
@@ -92,9 +93,9 @@ COMPLETED: dict[str, Callable[[Path, Any], Any]] = {
 REWRITERS: dict[str, Callable[[Path, Path, Change], list[str]]] = {
     "abaqus": abaqus_copy.rewrite, "exodus": exodus_copy.rewrite, "gmsh": gmsh.rewrite,
     "mdpa": mdpa.rewrite, "med": med_copy.rewrite, "medit": medit.rewrite,
-    "nastran": nastran_copy.rewrite, "netgen": vol.rewrite, "obj": obj.rewrite, "off": off.rewrite,
-    "ply": ply.rewrite, "stl": stl.rewrite, "su2": su2.rewrite, "tecplot": tecplot.rewrite,
-    "tetgen": tetgen.rewrite, "xdmf": xdmf_copy.rewrite,
+    "nastran": nastran_copy.rewrite, "netgen": vol.rewrite, "obj": with_named(obj.rewrite),
+    "off": off.rewrite, "ply": with_named(ply.rewrite), "stl": stl.rewrite, "su2": su2.rewrite,
+    "tecplot": tecplot.rewrite, "tetgen": tetgen.rewrite, "xdmf": xdmf_copy.rewrite,
 }
 """Rewriters by the name of the format in meshio: source, target and change, to what is lost."""
 
