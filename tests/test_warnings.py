@@ -170,6 +170,17 @@ def apart(place, monkeypatch):
     odt_plugins.optimize(index, target=place / "out.pvtu", block_rounds=1)
 
 
+def pictures(place, monkeypatch):
+    points, cells = square()
+    lines = ["mtllib sub/m.mtl", *("v {} {} {}".format(*p) for p in points.tolist()),
+             *("f {} {} {}".format(*row) for row in (cells + 1).tolist()), ""]
+    (place / "sub").mkdir()
+    (place / "out").mkdir()
+    (place / "sub" / "m.mtl").write_text("newmtl m")
+    (place / "in.obj").write_text("\n".join(lines))
+    odt_plugins.optimize(place / "in.obj", target=place / "out" / "in.obj")
+
+
 def slow(place, monkeypatch):
     n = 400
     matrix = sparse.diags([-1.0, 2.0, -1.0], [-1, 0, 1], shape=(n, n), format="csr")
@@ -197,6 +208,7 @@ CASES = {
     "tetwild.py": (elsewhere,),
     "adapters/files.py": (dropped, unknown),
     "adapters/formats/medit_solution.py": (of_another_mesh,),
+    "adapters/formats/named_files.py": (pictures,),
     "adapters/formats/xdmf.py": (edges,),
     "adapters/higher_order.py": (point_data,),
     "adapters/point_sets.py": (link,),
