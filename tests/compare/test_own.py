@@ -47,6 +47,15 @@ def still(points, cells, labels):
 
 def raises(points, cells, labels):
     raise RuntimeError("out of luck")
+
+def nothing(points, cells, labels):
+    pass
+
+def alone(points, cells, labels):
+    return points
+
+def four(points, cells, labels):
+    return [points, cells, labels, 4]
 '''
 
 
@@ -96,6 +105,10 @@ def test_functions_of_the_caller_take_part(tmp_path, monkeypatch):
     assert "no_such_module" in missing.message
     with pytest.raises(InvalidOptionError, match="or module:name of a function of yours"):
         choose(["no tool:at all"])
+    for name, said in (("nothing", "NoneType"), ("alone", "ndarray"), ("four", "list of 4")):
+        mine = choose([f"mine_to_compare:{name}"])[1:]
+        row = compare_on(start, mine, ONCE, poisson=False).rows[0]
+        assert f"the function returned a {said}; expected (points, cells), or" in row.message
 
 
 def test_regions_reach_functions_of_the_caller(tmp_path, monkeypatch):

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from importlib import import_module
+from typing import Any
 
 from odt_plugins.compare.baselines.task import Settings, Task
 from odt_plugins.compare.start import StartMesh
+from odt_plugins.errors import UnsupportedMeshError
 
 
 def prepare(start: StartMesh, settings: Settings) -> Task:
@@ -23,4 +25,14 @@ def prepare(start: StartMesh, settings: Settings) -> Task:
     function = getattr(import_module(place), name)
     regions = None if start.regions is None else start.regions.copy()
     given = start.points.copy(), start.cells.copy(), regions
-    return Task(lambda: function(*given), tuple)
+    return Task(lambda: function(*given), _collected)
+
+
+def _collected(returned: Any) -> tuple[Any, ...]:
+    """Take what the callable returned, two or three arrays or lists."""
+    if not isinstance(returned, tuple | list) or len(returned) not in (2, 3):
+        count = f" of {len(returned)}" if isinstance(returned, tuple | list) else ""
+        msg = (f"the function returned a {type(returned).__name__}{count}; expected (points, "
+               "cells), or (points, cells, labels) where it keeps labels")
+        raise UnsupportedMeshError(msg)
+    return tuple(returned)
