@@ -171,12 +171,9 @@ def optimize(
     or a directory of .vtu files, and only one of the pieces is in memory at a time.
     """
     check_paths(source, target, report_file, plot_file)
-    options = resolve_arrays(source, options)
     pieces = target.suffix == ".pvtu"
     if given("block_rounds") and blocks is None and not pieces:
         refuse("block_rounds", "for a mesh that is one block", "--blocks beside it")
-    if not pieces:
-        refuse_for_kind(source, options["boundary"])
     if pieces and (file_format or text is not None):
         msg = "--file-format, --ascii and --binary are for meshes of one file, OUTPUT names pieces"
         raise click.UsageError(msg)
@@ -195,12 +192,13 @@ def optimize(
     if not pieces:
         how |= {"blocks": blocks, "file_format": file_format,
                 "binary": None if text is None else not text}
-    with (
-        warnings_told(quiet), _cluster(scheduler, quiet) as client,
-        progress_bar(quiet) as progress,
-    ):
-        options["progress"] = progress
-        report = optimize_file(source, target, client=client, **how, **options)
+    with warnings_told(quiet):
+        options = resolve_arrays(source, options)
+        if not pieces:
+            refuse_for_kind(source, options["boundary"])
+        with _cluster(scheduler, quiet) as client, progress_bar(quiet) as progress:
+            options["progress"] = progress
+            report = optimize_file(source, target, client=client, **how, **options)
     if not quiet:
         click.echo(in_flags(str(report)))
     if worth:
@@ -284,12 +282,12 @@ def untangle(source: Path, target: Path, rest: Path | None, partial: bool,
     The boundary, interfaces and fixed vertices stay where they are; the others move.
     """
     check_paths(source, target, report_file)
-    options = resolve_arrays(source, options)
     from odt_plugins.adapters.files import check_output, expect_same_kind, read_file, write_file
     from odt_plugins.api import untangle_with_report
 
     check_output(target)
     with warnings_told(quiet), progress_bar(quiet) as progress:
+        options = resolve_arrays(source, options)
         mesh = read_file(source)
         expect_same_kind(mesh, target)
         found, report = untangle_with_report(

@@ -43,12 +43,12 @@ def remesh(
     sizes = take_sizes(options)
     if not given("boundary"):
         del options["boundary"]
-    options = resolve_arrays(source, options)
     from odt_plugins.adapters.files import check_output, expect_same_kind, read_file, write_file
     from odt_plugins.remeshing import remesh_with_report
 
     check_output(target)
     with warnings_told(quiet), progress_bar(quiet) as progress:
+        options = resolve_arrays(source, options)
         mesh = read_file(source)
         expect_same_kind(mesh, target)
         found, report = remesh_with_report(mesh, **sizes | options | {"progress": progress})

@@ -173,14 +173,15 @@ def tell_report(report: Any, report_file: Path | None, quiet: bool) -> None:
 
 @contextmanager
 def warnings_told(quiet: bool) -> Iterator[None]:
-    """Show the package's own warnings as one line each on stderr, or nowhere."""
+    """Show the package's own warnings as one line each on stderr, once each, or nowhere."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", ODTWarning)
-        yield
-    for warning in caught:
-        if issubclass(warning.category, ODTWarning) and not quiet:
-            words = one_line(in_flags(str(warning.message)))
-            click.echo(f"odt-plugins: warning: {words}", err=True)
+        try:
+            yield
+        finally:
+            ours = [w.message for w in caught if issubclass(w.category, ODTWarning) and not quiet]
+            for words in dict.fromkeys(one_line(in_flags(str(message))) for message in ours):
+                click.echo(f"odt-plugins: warning: {words}", err=True)
 
 
 @contextmanager

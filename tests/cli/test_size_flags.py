@@ -49,6 +49,25 @@ def test_a_batch_remeshes_small_files_in_one_process(ball, tmp_path):
     assert cli.main(["batch", str(other), "--out", str(out), "--scale", "-1"]) == 2
 
 
+@pytest.mark.parametrize(("words", "said"), [
+    ("remesh --size sol", "got --size sol; "), ("optimize --density sol", "got 'sol'; expected "),
+    ("remesh --fixed sol --scale 2", "got 'sol'; expected "),
+    ("optimize --boundary slide --envelope 2", "got --envelope 2"),
+    ("untangle --selection sol", "got 'sol'; expected ")])
+def test_a_command_that_fails_tells_its_warnings_once(words, said, tmp_path, capsys):
+    points = np.array([[0.0, 0], [1, 0], [0, 1]])
+    meshio.write(tmp_path / "in.mesh", meshio.Mesh(points, [("triangle", [[0, 1, 2]])]))
+    (tmp_path / "in.sol").write_text(
+        "MeshVersionFormatted 2\nDimension 2\nSolAtVertices\n1\n1 1\n7\nEnd\n")
+    files = [str(tmp_path / "in.mesh"), str(tmp_path / "out.mesh")]
+    command, *flags = words.split()
+    assert cli.main([command, *files, *flags]) == 2
+    told, error = capsys.readouterr().err.splitlines()
+    assert "warning: " in told
+    assert "in.sol is not read, it has values for 1 vert" in told
+    assert said in error
+
+
 def test_a_row_of_a_batch_names_options_by_their_flags(ball, tmp_path):
     out = tmp_path / "out"
     assert cli.main(["batch", str(ball[0]), "--out", str(out), "--size", "g", "--quiet"]) == 1
