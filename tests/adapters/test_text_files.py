@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import re
 import warnings
+from functools import partial
 
 import contract
 import meshio
 import numpy as np
 import pytest
+from surface_meshes import sphere
 
-from odt_plugins import remesh
+from odt_plugins import optimize, remesh
 from odt_plugins.adapters.files import read_file, write_file
 from odt_plugins.api import optimize_file
 from odt_plugins.errors import DataNotKeptWarning, InvalidMeshError
@@ -167,3 +169,30 @@ def test_names_of_groups_have_the_letters_of_the_file(suffix, encoding, tmp_path
         back = read_file(target)
         assert len(back.points) > len(mesh.points)
         assert len(back.point_sets["voilà"]) == len(back.points)
+
+
+@pytest.mark.filterwarnings("ignore:.*the last digits of the coordinates")
+@pytest.mark.parametrize("how", [optimize, partial(remesh, scale=0.8)])
+@pytest.mark.parametrize("suffix", [".obj", ".off", ".ply", ".stl", ".vol", ".mesh", ".su2", ".msh",
+                                    ".inp", ".bdf", ".ele"])
+def test_files_whose_lines_end_as_those_of_windows_end_so_afterwards(suffix, how, tmp_path):
+    points, cells = sphere(1, 0.05)
+    mesh = meshio.Mesh(points, [("triangle", cells)])
+    if suffix not in (".obj", ".off", ".ply", ".stl"):
+        points, cells = box(3)
+        mesh = meshio.Mesh(points, [("tetra", cells)])
+    source, target = tmp_path / f"a{suffix}", tmp_path / f"b{suffix}"
+    write_file(source, mesh, binary=False if suffix in (".ply", ".stl", ".msh") else None)
+    if suffix == ".obj":
+        words = source.read_text().split("\n")
+        texture = [f"vt {x!r} {y!r}" for x, y, _ in points.tolist()]
+        texture += [f"vn {x!r} {y!r} {z!r}" for x, y, z in points.tolist()]
+        faces = ["f " + " ".join(f"{v}/{v}/{v}" for v in row) for row in (cells + 1).tolist()]
+        source.write_text("\n".join([*(w for w in words if w[:2] == "v "), *texture, *faces]))
+    for path in tmp_path.iterdir():
+        path.write_bytes(path.read_bytes().replace(b"\n", b"\r\n"))
+    names = {path.name for path in tmp_path.iterdir()}
+    write_file(target, how(read_file(source)))
+    for path in tmp_path.iterdir():
+        data = path.read_bytes()
+        assert path.name in names or data.count(b"\n") == data.count(b"\r\n") > 9

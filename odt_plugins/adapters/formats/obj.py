@@ -173,9 +173,9 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
                                  zip(corners[face], new.tolist(), strict=True)]
                 changed[face] = True
         _listed(lines, found.normals, [_line(b"vn", row) for row in normals])
-    texts = [found.lines[found.faces[i]] for i in sources.tolist()]
+    texts, end = [found.lines[found.faces[i]] for i in sources.tolist()], _end(found.lines[0])
     for face, at in enumerate(found.faces):
-        lines[at] = _face(corners[face], texts[face]) if changed[face] else texts[face]
+        lines[at] = _face(corners[face]) + end if changed[face] else texts[face]
     target.write_bytes(b"".join(lines))
     return []
 
@@ -207,9 +207,9 @@ def _with_others(found: _Lines, change: Change) -> list[bytes]:
                                _of_vertices(found, len(change.before.points)) is not None)
         _listed(lines, found.normals, [_line(b"vn", row) for row in normals])
     rest = np.asarray(after.point_data.get(COLOURS, points[:, :0]))
-    end = b"\r\n" if lines[found.vertices[0]].endswith(b"\r\n") else b"\n"
+    end = _end(lines[0])
     _listed(lines, found.vertices, [
-        b" ".join([b"v", *(repr(x).encode() for x in [*place, *more])]) + end
+        b" ".join([b"v", *(repr(x).encode() for x in [*place, *more])])
         for place, more in zip(points.tolist(), rest.tolist(), strict=True)])
     if used:
         _put_texture(lines, found, [values[t] for t in used])
@@ -217,7 +217,7 @@ def _with_others(found: _Lines, change: Change) -> list[bytes]:
     every = (i for rows in sources for i in rows)
     for source, row, marks, normal in zip(every, corners, numbers, of, strict=True):
         words = list(zip(row, (number[t] for t in marks), normal, strict=True))
-        faces[source].append(_face(words, found.lines[found.faces[source]]))
+        faces[source].append(_face(words) + end)
     for at, texts in zip(found.faces, faces, strict=True):
         lines[at] = b"".join(texts)
     if found.ends:
@@ -392,9 +392,10 @@ def _listed(lines: list[bytes], at: list[int], new: list[bytes]) -> None:
     """Put a list in place of the one whose lines are given, where it differs."""
     if [lines[i].split() for i in at] == [line.split() for line in new]:
         return
+    end = _end(lines[at[0]])
     for i in at:
         lines[i] = b""
-    lines[at[0]] = b"".join(new)
+    lines[at[0]] = b"".join(line + end for line in new)
 
 
 def _put_texture(lines: list[bytes], found: _Lines, values: list[list[float]]) -> None:
@@ -403,22 +404,25 @@ def _put_texture(lines: list[bytes], found: _Lines, values: list[list[float]]) -
     if found.texture:
         _listed(lines, found.texture, new)
     else:
-        lines[found.vertices[-1]] += b"".join(new)
+        end = _end(lines[0])
+        lines[found.vertices[-1]] += b"".join(line + end for line in new)
 
 
 def _line(head: bytes, numbers: Any) -> bytes:
-    return head + b" " + b" ".join(f"{float(x):.9g}".encode() for x in numbers) + b"\n"
+    return head + b" " + b" ".join(f"{float(x):.9g}".encode() for x in numbers)
+
+
+def _end(line: bytes) -> bytes:
+    return b"\r\n" if line.endswith(b"\r\n") else b"\n"
 
 
 def _placed(line: bytes, place: list[float], colour: list[float]) -> bytes:
     words = line.partition(b"#")[0].split()
     rest = words[4 + len(colour):]
-    end = b"\r\n" if line.endswith(b"\r\n") else b"\n"
-    return b" ".join([words[0], *(repr(x).encode() for x in [*place, *colour]), *rest]) + end
+    return b" ".join([words[0], *(repr(x).encode() for x in [*place, *colour]), *rest]) + _end(line)
 
 
-def _face(corners: Sequence[Sequence[int]], like: bytes) -> bytes:
-    end = b"\r\n" if like.endswith(b"\r\n") else b"\n"
+def _face(corners: Sequence[Sequence[int]]) -> bytes:
     words = []
     for v, t, n in corners:
         word = str(v + 1)
@@ -427,4 +431,4 @@ def _face(corners: Sequence[Sequence[int]], like: bytes) -> bytes:
         if n >= 0:
             word += f"/{n + 1}"
         words.append(word)
-    return f"f {' '.join(words)}".encode() + end
+    return f"f {' '.join(words)}".encode()

@@ -332,8 +332,9 @@ def _placed(data: bytes, change: Change) -> list[Edit]:
     for old, there, x in zip(change.points.tolist(), moved.tolist(), points.tolist(), strict=True):
         words = [repr(each) for each in [*x, 0.0][:width]]
         text.append(" ".join(words).encode() if there else data[rows[old].start: rows[old].stop])
+    end = b"\r\n" if data[:at].rstrip(b" \t").endswith(b"\r\n") else b"\n"
     edits = [(*number_before(data, at), str(len(text)).encode()),
-             (rows[0].start, rows[-1].stop, b"\n".join(text))]
+             (rows[0].start, rows[-1].stop, end.join(text))]
     number = change.number
     stay = []
     for name, (size, named) in KEPT.items():
