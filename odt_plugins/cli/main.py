@@ -401,7 +401,7 @@ def quality(sources: tuple[Path, ...], as_json: bool, **limits: float | None) ->
             with warnings_told(quiet=False):
                 found[str(source)] = measured(source)
         except ODTError as exc:
-            code = _fail(exc, COULD_NOT)
+            code = _fail(exc if str(source) in str(exc) else f"{source}: {exc}", COULD_NOT)
     if as_json:
         rows = [{"file": name, **summary.to_dict()} for name, summary in found.items()]
         click.echo(json.dumps(rows, indent=2, allow_nan=False))

@@ -318,10 +318,13 @@ def test_untangling_inserts_vertices_when_told_and_shows_its_progress(
 def test_quality_goes_on_after_a_file_that_it_cannot_read(
     place: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert cli.main(["quality", "none.vtu", "in.vtu"]) == 1
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [np.nan, 1, 0]])
+    meshio.Mesh(points, [("triangle", [[0, 1, 2]])]).write("nan.vtu")
+    assert cli.main(["quality", "none.vtu", "nan.vtu", "in.vtu"]) == 1
     out, err = capsys.readouterr()
     assert "in.vtu" in out
     assert err.startswith("odt-plugins: cannot read none.vtu")
+    assert "\nodt-plugins: nan.vtu: got 1 point (first: point 2) with NaN" in err
 
 
 def broken_files(place: Path) -> None:
