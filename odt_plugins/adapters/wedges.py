@@ -195,7 +195,8 @@ def _nearest(
     row = np.repeat(np.arange(len(wanted)), size)
     first = np.cumsum(size) - size
     wedge = order[np.arange(len(row)) - np.repeat(first, size) + low[row]]
-    away = ((flat[wedge] - near[row]) ** 2).sum(axis=1)
+    with np.errstate(over="ignore"):
+        away = ((flat[wedge] - near[row]) ** 2).sum(axis=1)
     best = np.lexsort((wedge, away, row))
     out = np.full(len(wanted), -1, dtype=np.int64)
     out[size > 0] = wedge[best[first[size > 0]]]

@@ -150,3 +150,12 @@ def test_soups_keep_patches_of_one_triangle(kind, scale):
     assert (found * 20 // 1 == found[:, :1] * 20 // 1).all()
     assert len(found) > n if scale < 1 else len(found) == n
     assert not any(note.startswith("0 of") for note in report.notes)
+
+
+def test_coordinates_too_large_for_their_squares_follow_without_a_word():
+    points, cells, uv = around(SURFACES["cone"])
+    points[:, 2] += 0.05 * np.sin(9 * points[:, 0])
+    mesh = open3d.t.geometry.TriangleMesh(points.astype(np.float32), cells.astype(np.int32))
+    mesh.triangle["texture_uvs"] = open3d.core.Tensor(np.float32(1e30 * uv[cells]))
+    out = odt_plugins.optimize(mesh, envelope=0.01)
+    assert np.ptp(out.triangle["texture_uvs"].numpy(), axis=1).max() < 0.5e30
