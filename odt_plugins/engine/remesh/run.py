@@ -162,13 +162,14 @@ def remesh(mesh: SimplexMesh, options: Options, leaving: Leaving, wish: Wish) ->
     if mesh.frozen.all() or not len(mesh.cells):
         return unchanged(mesh, "no cell may change")
 
-    def tries(sizes: Sizes, course: Course) -> tuple[Outcome, Attempt | None]:
+    def tries(tried: Sizes, course: Course) -> tuple[Outcome, Attempt | None]:
         if mesh.dim == 2:
-            found = resized_triangles(mesh, base, sizes, options, leaving)
+            found = resized_triangles(mesh, base, tried, options, leaving)
+            # Those tried for a number out of reach are longer than any that it stands for.
             asked = sizes.values if wish.curved else sizes.before_chords(base)
             return found if found.origin is None else replace(
                 found, notes=told_of_triangles(base, asked, found) + found.notes), None
-        return _tetrahedra(mesh, base, sizes, options, leaving, course)
+        return _tetrahedra(mesh, base, tried, options, leaving, course)
 
     goal = goal_of(wish, mesh.dim)
     outcome = (tries(sizes, Course())[0] if goal is None

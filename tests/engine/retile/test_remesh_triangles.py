@@ -184,3 +184,12 @@ def test_the_report_of_triangles_says_how_many_edges_have_their_size(planar):
     [note] = [note for note in report.notes if "as long as asked for" in note]
     assert note.startswith(f"{share:.1%} of the edges are 0.71 to 1.41 times as long")
     assert f"{length.mean():.2f} on average" in note
+
+
+def test_edges_are_compared_with_those_of_the_number_asked_for_where_it_is_out_of_reach():
+    points, cells = sphere(3)
+    (_, rows), report = odt_plugins.remesh_with_report((points, cells), cells=100, envelope=2e-3)
+    assert len(rows) > 400
+    [note] = [note for note in report.notes if "as long as asked for" in note]
+    mean = float(note.partition(" times as long as asked for, ")[2].split()[0])
+    assert mean == pytest.approx((100 / len(rows)) ** 0.5, rel=0.1)
