@@ -42,6 +42,10 @@ RUNS = {
     "plane": lambda place, **given: odt_plugins.optimize(plane(), smoothing={"cycles": 2}, **given),
     "surface": lambda place, **given: odt_plugins.optimize(
         surface_meshes.sphere(2, 0.2), boundary="slide", **given),
+    "other sizes in the plane": lambda place, **given: odt_plugins.remesh(
+        plane(), scale=1.5, **given),
+    "other sizes of a surface": lambda place, **given: odt_plugins.remesh(
+        surface_meshes.sphere(2, 0.2), cells=200, envelope=0.02, **given),
     "insert": lambda place, **given: odt_plugins.optimize(
         tets(), insert=True, boundary="slide", **given),
     "nothing to do": lambda place, **given: odt_plugins.optimize(
@@ -78,6 +82,7 @@ def test_one_share_grows_from_0_to_1_over_all_stages(name, tmp_path, monkeypatch
     assert shares == sorted(shares)
     stages = {stage for stage, _ in seen}
     assert STAGES.get(name, set()) <= stages
+    assert name == "nothing to do" or any(0.0 < share < 1.0 for share in shares)
     if name in ("TetWild", "levels"):
         assert len({share for stage, share in seen if stage == "TetWild"}) > 3
 

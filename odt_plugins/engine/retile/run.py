@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import replace
+from functools import partial
 from hashlib import sha256
 from typing import Any, NamedTuple
 
@@ -122,8 +123,8 @@ def retile(
     before: list[str] = []
     done, made = {} if done is None else done, 0
     report = options.progress or silent
+    report("resizing", 0.0)
     for attempt in range(ATTEMPTS):
-        report("resizing", attempt / ATTEMPTS)
         key = sha256(b"".join(map(np.ndarray.tobytes, (sizes, part, held.frozen)))).digest()
         if key not in done:
             done[key] = _resized(mesh, held, sizes, part, bounds, options, leaving, most)
@@ -170,7 +171,8 @@ def _resized(
     reach = POLICY.surface_guard * (length - mesh.sag) * frame.scale * part[frame.active]
     unit = 1.0 if len(mesh.metric) else frame.scale
     net, marks = resize(_base(start, options), sizes[frame.vertices] * unit, reach, bounds,
-                        feature_angle=options.feature_angle, most=most)
+                        feature_angle=options.feature_angle, most=most,
+                        tick=partial(options.progress or silent, "resizing"))
     n, m = net.count[0], net.count[1]
     points = np.ascontiguousarray(net.points[:n, _columns(mesh)])
     cells, labels = net.triangles[:m].copy(), net.labels[:m].copy()

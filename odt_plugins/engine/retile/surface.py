@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -64,7 +65,7 @@ class Base(NamedTuple):
 
 def resize(
     base: Base, sizes: FloatArray, reach: FloatArray, bounds: Extremes, *, feature_angle: float,
-    most: float = math.inf,
+    most: float = math.inf, tick: Callable[[float], None] = lambda _: None,
 ) -> tuple[Net, IntArray]:
     """Bring the edges of a surface to sizes, within an envelope around it.
 
@@ -77,6 +78,7 @@ def resize(
     bounds : Extremes           what no triangle may pass at last, unless those of the base do
     feature_angle : float       degrees
     most : float                triangles from which on no edges are split
+    tick : callable             called with the share of the work that is done
 
     Returns
     -------
@@ -114,6 +116,7 @@ def resize(
         if turn == 0 and not base.metric.size:
             relent_along(net, passes, features.lines.nodes, edges.vertices)
             net = lay_in_rows(net, passes, _patches(edges, features))
+        tick((turn + 1.0) / (ROUNDS + 2.0))
     if not base.metric.size:
         passes.mend(net)
     for power, sweeps in FINISH:
@@ -121,6 +124,7 @@ def resize(
             passes.flip(net, power)
             passes.shift(net, power)
     net = compact(net)
+    tick((ROUNDS + 1.0) / (ROUNDS + 2.0))
     polish(net, rules, passes.metric)
     return net, marks
 
