@@ -301,6 +301,7 @@ def _untangling(options: Mapping[str, Any]) -> Options:
 
 def _untangled(mesh: Any, options: Options, rest: Any, *, partial: bool) -> tuple[Any, ...]:
     """What :func:`run_engine` gives, with the mesh untangled and left so."""
+    partial = plain_values("partial", partial)
     expect(isinstance(partial, bool), "partial", partial, "a bool")
     places = rest
     if isinstance(rest, list) and even_rows("rest", rest[:1]).ndim == 2:

@@ -172,8 +172,8 @@ def endless_walk(vertex: int) -> EndlessWalkError:
 
 
 def plain_values(name: str, values: Any, error: type[ODTError] = InvalidOptionError) -> Any:
-    """Give a tensor of open3d or another library as an array of numpy, a number of numpy or a
-    fraction as one of Python, which does not overflow, and anything else as it is.
+    """Give a tensor of open3d or another library as an array of numpy, a number or a truth of
+    numpy or a fraction as one of Python, which does not overflow, and anything else as it is.
 
     Raises
     ------
@@ -195,6 +195,8 @@ def plain_values(name: str, values: Any, error: type[ODTError] = InvalidOptionEr
             msg = f"got {name} of a number with more than 308 digits; expected a smaller one"
             raise error(msg) from exc
         return int(values) if isinstance(values, numbers.Integral) else number
+    if type(values).__module__ == "numpy" and type(values).__name__ in ("bool", "bool_"):
+        return bool(values)
     if not callable(getattr(values, "numpy", None)):
         return values
     return (values.cpu() if hasattr(values, "cpu") else values).numpy().copy()

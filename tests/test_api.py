@@ -189,6 +189,15 @@ def test_options_cannot_be_made_wrong_by_hand_either():
         Options(smoothing={"rounds": -3})
 
 
+def test_truths_of_numpy_are_taken_as_those_of_python():
+    given = contract.HOSTS["arrays-tet"].make()
+    report = odt_plugins.optimize_with_report(
+        given, finish=np.bool_(False), insert=np.bool_(False), progress=np.bool_(False))[1]
+    assert report.options["finish"] is False
+    odt_plugins.untangle(given, partial=np.bool_(True))
+    assert len(odt_plugins.refine(given, 1, optimize=np.bool_(False))[1]) == 8 * len(given[1])
+
+
 def test_the_doctests_hold():
     for module in (api, odt_plugins):
         result = doctest.testmod(module)

@@ -21,7 +21,7 @@ from odt_plugins.api import optimize_with_report
 from odt_plugins.carry import surrounding_cells
 from odt_plugins.engine.cells.geometry import boundary_facets, interface_vertices
 from odt_plugins.engine.ground.envelope import distances
-from odt_plugins.errors import InvalidOptionError, ODTWarning, expect, warn
+from odt_plugins.errors import InvalidOptionError, ODTWarning, expect, plain_values, warn
 from odt_plugins.figures import volumes
 from odt_plugins.generate.coarse import coarse_mesh
 from odt_plugins.generate.levels_report import Level, LevelsReport
@@ -123,6 +123,7 @@ def refine(
     ----------
     L. Chen, M. Holst, CMAME 200 (2011) 967-984, doi:10.1016/j.cma.2010.11.007, Section 5.3.
     """
+    optimize = plain_values("optimize", optimize)
     expect(isinstance(optimize, bool), "optimize", optimize, "a bool")
     if optimize:
         return refine_with_report(
