@@ -12,14 +12,15 @@ from odt_plugins.figures import volumes
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 
 SAME = 1e-9
-"""Relative change of an integral from which on it is told."""
+"""Relative change of an integral from which on it is told, unless the type is coarser."""
 
 Pairs = Mapping[str, tuple[NDArray[Any], NDArray[Any]]]
 Mesh = tuple[FloatArray, IntArray]
 
 
 def changed_integrals(arrays: Pairs, before: Mesh, after: Mesh) -> dict[str, float]:
-    """Relative changes of the sums of value by volume of cell that are larger than SAME.
+    """Relative changes of the sums of value by volume of cell that are larger than SAME, and than
+    what the type of the values tells apart.
 
     Parameters
     ----------
@@ -46,7 +47,7 @@ def changed_integrals(arrays: Pairs, before: Mesh, after: Mesh) -> dict[str, flo
             total = (sizes[0][:, None] * old).sum(axis=0)
             change = np.abs((sizes[1][:, None] * new).sum(axis=0) - total)
             size = (sizes[0][:, None] * np.abs(old)).sum(axis=0)
-            told = change > SAME * size
+            told = change > max(SAME, float(np.finfo(pair[1].dtype).eps)) * size
             if told.any():
                 out[name] = float((change[told] / size[told]).max())
     return out
@@ -55,10 +56,11 @@ def changed_integrals(arrays: Pairs, before: Mesh, after: Mesh) -> dict[str, flo
 def of_points(arrays: Pairs, before: Mesh, after: Mesh) -> Pairs:
     """Means over the corners of every cell of values (n, ...), (n', ...) at the vertices.
 
-    Means that are out of range are not finite.
+    They have the type of the values. Means that are out of range are not finite.
     """
     wide = {name: tuple(values.astype(np.result_type(values, np.float64)) for values in pair)
             for name, pair in arrays.items()}
     with np.errstate(over="ignore", invalid="ignore"):
-        return {name: (old[before[1]].mean(axis=1), new[after[1]].mean(axis=1))
+        return {name: tuple(of.astype(values.dtype) for of, values in zip(
+            (old[before[1]].mean(axis=1), new[after[1]].mean(axis=1)), arrays[name], strict=True))
                 for name, (old, new) in wide.items()}

@@ -75,3 +75,15 @@ def test_an_integral_by_hand():
     arrays = {"a": np.array([3.0, 1.0]), "zero": np.zeros(2), "single": np.float32([0.0, 1.0])}
     changes = changed_integrals({k: (v, v) for k, v in arrays.items()}, before, after)
     assert changes == pytest.approx({"a": 1.5 / 4.0})
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float16])
+def test_rounding_of_the_type_is_no_change_of_an_integral(kind):
+    points, cells, _ = contract.grid(3, 5, 3)
+    heat = np.exp(points[:, 0])
+    mesh = meshio.Mesh(points, [("tetra", cells)], {"heat": heat.astype(kind)},
+                       {"load": [heat[cells].mean(axis=1).astype(kind)]})
+    _, report = odt_plugins.remesh_with_report(mesh, scale=1.5, fields="conserve")
+    assert (report.integrals, report.point_integrals) == ({}, {})
+    lost = odt_plugins.remesh_with_report(mesh, scale=1.5)[1]
+    assert set(lost.integrals) == {"load"}

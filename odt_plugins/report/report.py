@@ -92,7 +92,8 @@ class Report:
                                             corners; the number of "vertices_held" for them
     integrals : dict name -> float          relative changes of the sums of value by volume of cell
                                             of cell arrays, by the sum of the absolute values, where
-                                            larger than 1e-9; none of untangled meshes
+                                            larger than 1e-9, of float32 than 1.2e-7; none of
+                                            untangled meshes
     point_integrals : dict name -> float    the same of point arrays
     filled : Covered or None                how the surface that was filled and the boundary of the
                                             tetrahedra lie to each other, see
