@@ -62,8 +62,11 @@ class Report:
     versions : dict                         of this package, Python and what computes
     slid : dict or None                     envelope, distances both ways (upper bounds), relative
                                             change of the volume and vertices moved, when the
-                                            boundary slid
-    surface : dict or None                  of a curved surface: "envelope" and "diagonal" as
+                                            boundary of tetrahedra slid; of flat facets, with how
+                                            far these are from curved ones or CAD in the envelope
+    surface : dict or None                  of a curved surface, and of triangles in the plane whose
+                                            rims :func:`odt_plugins.optimize` lets slide:
+                                            "envelope" and "diagonal" as
                                             lengths, "forward" and "backward", upper bounds of the
                                             distances of its points from the input and of the
                                             input's from it, and the numbers of
@@ -85,7 +88,8 @@ class Report:
                                             "added" and of "flips" until all were valid, of cells
                                             "left" that were not, and in what the result is "worse"
                                             than the valid cells of the input
-    curved : dict or None                   of curved "cells": least and mean scaled Jacobian
+    curved : dict or None                   of curved "cells", unless vertices may come and go:
+                                            least and mean scaled Jacobian
                                             before and after, "least" and "mean" of the least
                                             determinant by the largest one of a cell,
                                             "least_of_corners" and "mean_of_corners" by that of its
