@@ -11,7 +11,8 @@ import numpy as np
 from odt_plugins.engine.cells.elementary import log
 from odt_plugins.engine.remesh.wish import Wish
 from odt_plugins.engine.run.outcome import Outcome
-from odt_plugins.mesh.simplex import vertices_of
+from odt_plugins.mesh.simplex import SimplexMesh, vertices_of
+from odt_plugins.options import Options
 
 NEAR, CORRECTIONS, FURTHEST = 0.03, 4, 3.0
 """Sizes are corrected while the number of cells or vertices is off by more than this part, at most
@@ -84,6 +85,20 @@ def goal_of(wish: Wish, dim: int) -> Goal | None:
     number = wish.cells if wish.vertices is None else wish.vertices
     what = "cells" if wish.vertices is None else "vertices"
     return None if number is None else Goal(number, what, dim)
+
+
+def out_of_reach_told(goal: Goal, count: int, mesh: SimplexMesh, options: Options) -> str:
+    """Say that a number is not met, and of a larger one what allows fewer."""
+    told = (f"{count} {goal.what} are as near to the {goal.number} asked for as the promise allows")
+    slides = options.boundary == "slide"
+    ways = {
+        "a larger envelope=": slides or mesh.is_surface,
+        "boundary='slide'": not slides,
+        "a larger selection": options.selection is not None,
+        "fewer vertices in fixed": options.fixed is not None,
+    }
+    return told + (count > goal.number) * (
+        ", try " + " or ".join(way for way, there in ways.items() if there))
 
 
 def factor_towards(

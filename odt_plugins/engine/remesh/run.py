@@ -33,7 +33,14 @@ from odt_plugins.engine.remesh.notes import (
     told_of_frozen,
     told_of_triangles,
 )
-from odt_plugins.engine.remesh.number import NEAR, ROUGHLY, Goal, factor_towards, goal_of
+from odt_plugins.engine.remesh.number import (
+    NEAR,
+    ROUGHLY,
+    Goal,
+    factor_towards,
+    goal_of,
+    out_of_reach_told,
+)
 from odt_plugins.engine.remesh.onto import on_smooth
 from odt_plugins.engine.remesh.places import allowed_figures, seen_figures
 from odt_plugins.engine.remesh.remedies import (
@@ -226,13 +233,7 @@ def _towards(
     if mesh.dim == 3:
         best = replace(best, times=sums(best.times, {"resizing": spent}))
     if goal.off(best) > NEAR:
-        note = (f"{goal.count(best)} {goal.what} are as near to the {goal.number} asked for as "
-                "the promise allows")
-        if goal.count(best) > goal.number:
-            slides = options.boundary == "slide"
-            note += ", try " + " or ".join(
-                ["a larger envelope="] * (slides or mesh.is_surface)
-                + ["boundary='slide'"] * (not slides))
+        note = out_of_reach_told(goal, goal.count(best), mesh, options)
         best = replace(best, notes=(note, *best.notes))
     return best
 

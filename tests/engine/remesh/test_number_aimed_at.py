@@ -82,6 +82,15 @@ def test_what_allows_a_number_out_of_reach_is_told(boundary, advice):
     assert advice not in str(many)
 
 
+@pytest.mark.parametrize(("held", "way"), [
+    ("selection", "a larger selection"), ("fixed", "fewer vertices in fixed")])
+def test_what_the_caller_holds_is_told_where_it_allows_no_smaller_number(held, way):
+    points, cells = boxes.box(3, 4)
+    part = {"selection": np.arange(len(cells) // 8), "fixed": np.arange(0, len(points), 2)}[held]
+    _, report = odt_plugins.remesh_with_report((points, cells), cells=40, **{held: part})
+    assert any(note.endswith(f"try a larger envelope= or {way}") for note in report.notes)
+
+
 @pytest.mark.parametrize("poor", [1, 3])
 def test_a_number_that_resizing_cannot_reach_is_finished_once(monkeypatch, poor):
     finished, once = [], run._once
