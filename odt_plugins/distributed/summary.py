@@ -24,7 +24,8 @@ FIRST = ("source", "result", "status", "message", "seconds", "tetwild_seconds",
          "optimize_seconds", "compile_seconds", "resumed", "fallback", "regions_from",
          "interpolated", "key")
 
-FIGURES = tuple(QualitySummary.__dataclass_fields__)
+FIGURES = (*(name for name in QualitySummary.__dataclass_fields__ if name != "cells"), "area")
+"""What ``QualitySummary.to_dict`` gives of tetrahedra, and of triangles."""
 
 COLUMNS = (*FIRST, *(f"{when}_{name}" for when in ("before", "after") for name in FIGURES))
 
@@ -92,7 +93,8 @@ def _write_parquet(path: Path, rows: Sequence[dict[str, Any]]) -> None:
     kinds = {"resumed": pa.bool_(), **dict.fromkeys(
         ("source", "result", "status", "message", "fallback", "regions_from", "interpolated",
          "key"), pa.string())}
-    whole = {"dim", "n_points", "n_cells", "below_5", "below_10", "below_20", "inverted"}
+    whole = {"dim", "n_points", "n_cells", "below_5", "below_10", "below_20", "inverted",
+             "turned"}
     for when in ("before", "after"):
         kinds |= {f"{when}_{name}": pa.int64() for name in whole}
     schema = pa.schema([(name, kinds.get(name, pa.float64())) for name in COLUMNS])

@@ -9,13 +9,15 @@ from typing import Any
 import meshio
 import numpy as np
 import pytest
+from scipy.spatial import ConvexHull, Delaunay
 
 from odt_plugins.adapters.files import write_file
 from odt_plugins.cli.main import main
 from odt_plugins.compare.start import ball
 from odt_plugins.distributed.batch import job_key, make_jobs
 
-pytest.importorskip("pyarrow")
+pyarrow = pytest.importorskip("pyarrow")
+pytest.importorskip("pyarrow.parquet")
 pytest.importorskip("jinja2")
 
 
@@ -105,3 +107,21 @@ def test_what_is_done_is_done_anew_when_a_file_beside_an_input_changes(
     with (tmp_path / beside).open("ab") as file:
         file.write(b"more")
     assert key(name) != before
+
+
+def test_rows_have_the_areas_of_triangles_and_no_column_stays_empty(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    written(tmp_path / "a.vtu")
+    points = np.random.default_rng(4).random((60, 2))
+    flat = np.pad(points, ((0, 0), (0, 1)))
+    write_file(tmp_path / "b.vtu", meshio.Mesh(flat, [("triangle", Delaunay(points).simplices)]))
+    code, rows = batch(tmp_path / "out")
+    assert code == 0
+    for when in ("before", "after"):
+        assert [bool(row[f"{when}_volume"]) for row in rows] == [True, False]
+        assert float(rows[1][f"{when}_area"]) == pytest.approx(ConvexHull(points).volume)
+        assert not [name for name in rows[0] if name.startswith(f"{when}_")
+                    and not any(row[name] for row in rows)]
+    found = pyarrow.parquet.read_table(tmp_path / "out" / "summary.parquet").to_pylist()
+    assert [str(row["after_area"] or "") for row in found] == [row["after_area"] for row in rows]
+    assert [type(row["before_turned"]) for row in found] == [int, int]
