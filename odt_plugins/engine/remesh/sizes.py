@@ -131,10 +131,11 @@ def wanted_sizes(mesh: SimplexMesh, wish: Wish, given: Any = None) -> Sizes:
     if not len(mesh.metric):
         values = np.minimum(values, 2.0 * extent)
         limited = grown(mesh.points, unique_edges(mesh.cells), values, wish.growth)
-    if (limited[used] < 0.99 * values[used]).any():
-        share = (limited[used] < 0.99 * values[used]).mean()
+    share = 100 * (limited[used] < 0.99 * values[used]).mean()
+    if share:
+        told = f"{share:.0f} %" if share >= 1.0 else "less than 1 %"
         notes.append(f"sizes grow by more than {wish.growth:g} from vertex to vertex; they are "
-                     f"smaller at {100 * share:.0f} % of the vertices, see growth=")
+                     f"smaller at {told} of the vertices, see growth=")
     count = expected_cells(mesh, limited)
     check_count(count, wish)
     return Sizes(limited, count, tuple(notes), wish.growth, values)

@@ -156,6 +156,14 @@ def test_sizes_that_mean_nothing_are_refused_with_a_sentence(mesh, size, said):
         odt_plugins.remesh(mesh, size(len(points), len(cells)))
 
 
+def test_a_few_sizes_that_are_smaller_are_no_share_of_zero():
+    points, cells = boxes.box(3, 9)
+    lengths = np.where(points.sum(axis=1) == 0.0, 0.255, 0.3)
+    _, report = odt_plugins.remesh_with_report((points, cells), lengths)
+    [note] = [note for note in report.notes if "sizes grow" in note]
+    assert "smaller at less than 1 % of the vertices" in note
+
+
 def test_the_report_says_what_was_done_instead(mesh):
     points, _ = mesh
     steep = np.where(np.arange(len(points)) == 3, 0.05, 2.0)
