@@ -198,6 +198,12 @@ def test_truths_of_numpy_are_taken_as_those_of_python():
     assert len(odt_plugins.refine(given, 1, optimize=np.bool_(False))[1]) == 8 * len(given[1])
 
 
+@pytest.mark.parametrize("name", ["nope", ["pyvista"], None])
+def test_what_is_no_name_of_a_toolkit_is_refused(name):
+    with pytest.raises(InvalidOptionError, match=r"got the toolkit .*; expected one of"):
+        odt_plugins.register(name)
+
+
 def test_the_doctests_hold():
     for module in (api, odt_plugins):
         result = doctest.testmod(module)
