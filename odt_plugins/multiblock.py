@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.adapters import open3d_model, pyvista_blocks, trimesh_scene
+from odt_plugins.adapters.fields import expect_arrays
+from odt_plugins.adapters.regions import CHARTS, are_names
 from odt_plugins.adapters.registry import find_adapter
 from odt_plugins.errors import InvalidOptionError, ODTError, counted
 from odt_plugins.mesh.numbers import vertex_mask
@@ -39,7 +41,7 @@ def has_parts(mesh: object) -> bool:
 
 def run_parts(
     mesh: Any, options: Mapping[str, Any], one: Callable[..., tuple[Any, Any]],
-    *, slides: bool = False, totals: Mapping[str, Any] = {},
+    *, slides: bool = False, totals: Mapping[str, Any] = {}, named: Mapping[str, Any] = {},
 ) -> tuple[Any, list[Any]]:
     """Optimise every part of an object by itself.
 
@@ -52,6 +54,8 @@ def run_parts(
                        stay
     totals : dict      numbers of "cells" and "vertices" of all parts, of which each gets a share in
                        proportion to its own
+    named : dict       names of arrays by "size" and "adapt", which every part must have, as that of
+                       a metric in `options`
 
     Returns
     -------
@@ -70,9 +74,12 @@ def run_parts(
         raise InvalidOptionError(msg)
     names = whole.chosen(mesh)
     parts = [whole.part_at(mesh, key) for key in names]
+    regions = options.get("regions")
+    labels = regions if are_names(regions) and regions != CHARTS else None
     shown, own = [], []
     for i, (key, name) in enumerate(names.items()):
-        host = _named(whole.PART, name, find_adapter(parts[i]).read, parts[i])
+        host = _named(whole.PART, name, find_adapter(parts[i]).read, parts[i], labels)
+        _named(whole.PART, name, expect_arrays, host, metric=options.get("metric"), **named)
         own.append({"cells": len(host.cells), "vertices": len(np.unique(host.cells))})
         shown += [_Shown(i, places, np.asarray(host.cells, dtype=np.int64))
                   for places in whole.placed(mesh, key, np.asarray(host.points, np.float64))]

@@ -103,8 +103,7 @@ def remesh(
     wishes: dict[str, Any] = {"scale": scale, "cells": cells, "vertices": vertices,
                               "growth": growth, "most_cells": most_cells, "adapt": adapt}
     if has_parts(mesh):
-        one = partial(remesh_with_report, size=size, **wishes)
-        return run_parts(mesh, options, one, slides=True, totals=_totals(wishes))[0]
+        return _run_parts(mesh, size, wishes, options)[0]
     return _run(mesh, size, wishes, _checked(options))[0]
 
 
@@ -128,17 +127,23 @@ def remesh_with_report(
     wishes: dict[str, Any] = {"scale": scale, "cells": cells, "vertices": vertices,
                               "growth": growth, "most_cells": most_cells, "adapt": adapt}
     if has_parts(mesh):
-        one = partial(remesh_with_report, size=size, **wishes)
-        whole, reports = run_parts(mesh, options, one, slides=True, totals=_totals(wishes))
+        whole, reports = _run_parts(mesh, size, wishes, options)
         return whole, report_of_parts(reports)
     chosen = _checked(options)
     result, before, outcome, told = _run(mesh, size, wishes, chosen)
     return result, make_report(before, outcome, replace(chosen, density="keep"), **told)
 
 
-def _totals(wishes: dict[str, Any]) -> dict[str, Any]:
-    """Numbers that the parts of an object have together."""
-    return {name: plain_values(name, wishes[name]) for name in ("cells", "vertices")}
+def _run_parts(
+    mesh: Any, size: Any, wishes: dict[str, Any], options: Any
+) -> tuple[Any, list[Report]]:
+    """Results and reports of the parts of an object, which have numbers of cells together."""
+    totals = {name: plain_values(name, wishes[name]) for name in ("cells", "vertices")}
+    wish = _wish(size, wishes, metric=options.get("metric") is not None)
+    named = {"size": size if wish.given else None, "adapt": wishes["adapt"] or ()}
+    _checked(options)
+    one = partial(remesh_with_report, size=size, **wishes)
+    return run_parts(mesh, options, one, slides=True, totals=totals, named=named)
 
 
 def _checked(options: Any) -> Options:

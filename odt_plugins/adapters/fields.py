@@ -23,6 +23,9 @@ STAY = re.compile(
 """Names, in small letters and without anything but letters, of arrays that say who a vertex is, or
 that are computed anew, and which stay whatever their type."""
 
+INPUT = "input"
+"""The metric that a mesh has, and no array of that name."""
+
 OF_TENSORS = {2: (3, 4), 3: (6, 9)}
 """How many numbers a symmetric tensor has, by the dimension."""
 
@@ -60,6 +63,38 @@ def numbers(fields: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     """Take the fields whose integrals and derivatives mean something: no colours."""
     return {name: values for name, values in fields.items()
             if values.dtype.kind in "fc" and not is_paint(name, values)}
+
+
+def expect_arrays(
+    host: HostMesh, *, size: Any = None, adapt: Any = (), metric: Any = None
+) -> None:
+    """Refuse names of sizes, fields and metrics that no array of a mesh has.
+
+    Raises
+    ------
+    InvalidOptionError    there is none of such a name
+    """
+    if isinstance(size, str):
+        named_array(host, size)
+    for name in [adapt] if isinstance(adapt, str) else adapt:
+        named_field(host, name, "adapt=")
+    if isinstance(metric, str) and metric != INPUT:
+        named_metric(host, metric)
+
+
+def named_field(host: HostMesh, name: str, what: str = "field ") -> NDArray[Any]:
+    """Find the point array (n, ...) of floating-point numbers of a mesh that has a name.
+
+    Raises
+    ------
+    InvalidOptionError    there is none
+    """
+    known = {key: one for key, one in numbers(host.fields).items() if one.dtype.kind == "f"}
+    if name not in known:
+        msg = (f"got {what}{name!r}; expected the name of a point array of floating-point "
+               f"numbers of this mesh, it has {', '.join(known) or 'none'}")
+        raise InvalidOptionError(msg)
+    return known[name]
 
 
 def named_metric(host: HostMesh, name: str) -> NDArray[Any]:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from odt_plugins.adapters.fields import numbers
+from odt_plugins.adapters.fields import named_field
 from odt_plugins.adapters.host import HostMesh, flat_points, words_of
 from odt_plugins.adapters.registry import find_adapter
 from odt_plugins.engine.cells.content import CONTENT
@@ -299,13 +299,7 @@ def _values(host: HostMesh, given: Any) -> FloatArray:
     """Components (n, c) of one field."""
     n, name = len(host.points), "a field"
     if isinstance(given, str):
-        fields = {key: one for key, one in numbers(host.fields).items() if one.dtype.kind == "f"}
-        if given not in fields:
-            known = ", ".join(fields) or "none"
-            msg = (f"got field {given!r}; expected the name of a point array of floating-point "
-                   f"numbers of this mesh, it has {known}")
-            raise InvalidOptionError(msg)
-        name, given = f"field {given!r}", fields[given]
+        name, given = f"field {given!r}", named_field(host, given)
     raw = given(np.array(host.points, dtype=np.float64)) if callable(given) else given
     raw = plain_values("values", raw)
     field = real_numbers(

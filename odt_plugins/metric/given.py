@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from odt_plugins.adapters.fields import INPUT
 from odt_plugins.engine.cells.tensors import PACKED, eigenvalues, full, product, transposed
 from odt_plugins.errors import InvalidOptionError
 from odt_plugins.mesh.arrays import BoolArray, FloatArray
@@ -13,9 +14,6 @@ from odt_plugins.mesh.numbers import real_numbers
 from odt_plugins.mesh.plane import PlaneFrame
 from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.metric.implied import implied_metric
-
-INPUT = "input"
-"""The metric that the mesh has, and no array of that name."""
 
 MOST_RATIO = 1e6
 """Largest ratio of the lengths that a metric may have in two directions."""

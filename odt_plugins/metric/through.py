@@ -7,7 +7,7 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 
-from odt_plugins.adapters.fields import named_metric
+from odt_plugins.adapters.fields import INPUT, named_metric
 from odt_plugins.adapters.host import HostMesh
 from odt_plugins.engine.cells.tensors import (
     eigenvalues,
@@ -21,7 +21,7 @@ from odt_plugins.errors import TangledMeshError, counted
 from odt_plugins.mesh.arrays import FloatArray
 from odt_plugins.mesh.plane import PlaneFrame
 from odt_plugins.mesh.simplex import SimplexMesh
-from odt_plugins.metric.given import INPUT, metric_at_vertices
+from odt_plugins.metric.given import metric_at_vertices
 from odt_plugins.metric.limits import grown_metric
 from odt_plugins.options import Options
 

@@ -186,3 +186,22 @@ def test_a_model_of_open3d_is_optimised_mesh_by_mesh():
         odt_plugins.quality(model)
     one = eval(str(caught.value).rpartition("try ")[2], {"mesh": model, "open3d": o3d})
     assert odt_plugins.quality(one).n_cells == sum(len(t) for _, t in halves())
+
+
+@pytest.mark.parametrize(("call", "named"), [
+    ("remesh", {"size": "h"}), ("remesh", {"adapt": "h", "cells": 90}),
+    ("remesh", {"metric": "h"}), ("optimize", {"metric": "h"}), ("optimize", {"regions": "h"})])
+def test_a_name_that_a_later_part_lacks_is_told_before_the_work(call, named, monkeypatch):
+    def fails(*_args, **_how):
+        raise AssertionError
+
+    parts = [trimesh.Trimesh(*bowl(i), process=False) for i in range(2)]
+    tensors, regions = "metric" in named, "regions" in named
+    n = len(parts[0].faces) if regions else len(parts[0].vertices)
+    values = np.arange(n) // 99 if regions else np.full((n, 6) if tensors else n, 0.3)
+    (parts[0].face_attributes if regions else parts[0].vertex_attributes)["h"] = values
+    scene = trimesh.Scene({f"part {i}": part for i, part in enumerate(parts)})
+    for room in ("odt_plugins.remeshing", "odt_plugins.api"):
+        monkeypatch.setattr(f"{room}.run_engine", fails)
+    with pytest.raises(InvalidOptionError, match=f"'part 1': .*{next(iter(named))}='h'"):
+        getattr(odt_plugins, call)(scene, **named)
