@@ -109,8 +109,10 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
     for block in mesh.cells:
         known = block.type in LINEAR or _of_order(block, kind, shape)
         if len(block.data) and not known:
-            msg = (f"got {counted(len(block.data), 'cell')} of type {block.type}; expected linear "
-                   f"cells such as tetra or triangle, try converting the mesh to linear cells")
+            beside = f" beside {kind}" if block.type in HIGHER and kind in found else ""
+            wanted = "cells of one order" if beside else "linear cells such as tetra or triangle"
+            msg = (f"got {counted(len(block.data), 'cell')} of type {block.type}{beside}; expected "
+                   f"{wanted}, try converting the mesh to linear cells")
             raise UnsupportedMeshError(msg)
     if not found:
         info = mesh.info if isinstance(mesh.info, dict) else {}

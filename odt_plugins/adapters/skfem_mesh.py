@@ -34,6 +34,10 @@ from odt_plugins.mesh.faces import Faces, labels_at
 
 ORDERS = {"MeshTri1": 1, "MeshTet1": 1, "MeshTri2": 2, "MeshTet2": 2}
 
+INSTEAD = {"Tri1DG": "MeshTri(mesh.p, mesh.dofs.element_dofs).remove_duplicate_nodes()",
+           "Quad": "mesh.to_meshtri()", "Hex": "mesh.to_meshtet()", "Wedge": "mesh.to_meshtet()"}
+"""What makes a mesh of triangles or tetrahedra, by a part of the name of a class."""
+
 
 def matches(mesh: object) -> bool:
     """Say whether this is a mesh of scikit-fem."""
@@ -59,8 +63,9 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
     kind = next(base.__name__ for base in type(mesh).__mro__ if base.__module__[:5] == "skfem")
     order = ORDERS.get(kind)
     if order is None:
-        msg = (f"got a {kind}; expected MeshTri, MeshTet, MeshTri2 or MeshTet2, try "
-               f"mesh.to_meshtri() or mesh.to_meshtet() of quadrilaterals and hexahedra")
+        known = "MeshTri, MeshTet, MeshTri2 or MeshTet2"
+        advice = next((f", try {call}" for name, call in INSTEAD.items() if name in kind), "")
+        msg = f"got a {kind}; expected {known}{advice}"
         raise UnsupportedMeshError(msg)
     if not mesh.t.shape[1]:
         msg = f"got a {kind} without elements; expected at least one"

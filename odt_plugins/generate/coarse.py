@@ -85,8 +85,8 @@ def coarse_mesh(
     if name is not None:
         msg = f"got {name} for a mesh of triangles; expected it for tetrahedra only"
         raise InvalidOptionError(msg)
-    tell_curved(host, options.envelope)
     points, faces = _surface(mesh)
+    tell_curved(host, options.envelope)
     target = make_target(points, faces, angle)
     clock = time.perf_counter()
     made = run_tetwild({

@@ -249,6 +249,10 @@ def test_other_orders_beside_are_refused_by_name():
     mesh = meshio.Mesh(nodes, [("tetra20", rows), ("triangle6", rows[:1, :6])])
     with pytest.raises(UnsupportedMeshError, match="1 cell of type triangle6"):
         odt_plugins.optimize(mesh)
+    both = meshio.Mesh(nodes, [("triangle6", rows[:1, :6]), ("triangle", rows[:1, :3])])
+    with pytest.raises(UnsupportedMeshError,
+                       match="1 cell of type triangle6 beside triangle; expected cells of one or"):
+        odt_plugins.optimize(both)
 
 
 def test_values_at_places_that_are_gone_are_named(monkeypatch):

@@ -115,9 +115,15 @@ def test_a_class_of_the_users_comes_back():
 
 
 def test_other_meshes_of_skfem_are_refused():
-    with pytest.raises(UnsupportedMeshError, match="got a MeshTri1DG"):
-        odt_plugins.optimize(skfem.MeshTri1DG.init_tensor(np.linspace(0, 1, 3),
-                                                          np.linspace(0, 1, 3)))
+    mesh = skfem.MeshTri1DG.from_mesh(skfem.MeshTri().refined(1))
+    call = "MeshTri(mesh.p, mesh.dofs.element_dofs).remove_duplicate_nodes()"
+    with pytest.raises(UnsupportedMeshError, match="got a MeshTri1DG") as caught:
+        odt_plugins.optimize(mesh)
+    assert str(caught.value).endswith(f"MeshTet2, try {call}")
+    joined = eval(call, {"MeshTri": skfem.MeshTri, "mesh": mesh})
+    assert odt_plugins.optimize(joined).p.shape == (2, 9)
+    with pytest.raises(UnsupportedMeshError, match=r"MeshLine1; .* or MeshTet2$"):
+        odt_plugins.optimize(skfem.MeshLine())
     with pytest.raises(UnsupportedMeshError, match=r"MeshQuad1; .*to_meshtri\(\)"):
         odt_plugins.optimize(skfem.MeshQuad())
     assert odt_plugins.optimize(skfem.MeshQuad().to_meshtri()).nelements == 2

@@ -179,6 +179,15 @@ def test_faces_that_are_curved_are_told(place, levels, bulge):
     assert all("up to 0.212 off the flat triangles" in words for words in said)
 
 
+def test_curved_triangles_in_the_plane_are_refused_without_a_word_on_faces():
+    points = np.array([[0.0, 0], [1, 0], [0, 1], [0.5, -0.2], [0.5, 0.5], [0, 0.5]])
+    mesh = meshio.Mesh(points, [("triangle6", np.arange(6)[None])])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(odt_plugins.InvalidMeshError, match="in the plane"):
+            odt_plugins.refine(mesh)
+
+
 def test_each_part_of_a_thin_wall_takes_the_label_of_its_side():
     plate = CUBE * [1.0, 1.0, 0.01]
     points, cells, _ = contract.grid(3, 3)
