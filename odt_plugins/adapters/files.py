@@ -332,7 +332,7 @@ def _read_as(path: Path, formats: list[str]) -> tuple[Any, list[str], str]:
         except TimeoutError as exc:
             cause = exc
             break
-        # A parser may raise anything at all on a broken file.
+        # It may raise anything at all.
         except Exception as exc:
             cause = cause or exc
     if declares_no_cells(path, formats):
@@ -351,7 +351,7 @@ def _read_as(path: Path, formats: list[str]) -> tuple[Any, list[str], str]:
     cut = isinstance(cause, EOFError) or re.search(CUT, reason) or not READERS.keys() & set(formats)
     hope = "expected a complete file" if cut else f"expected a file that is one of {kinds}"
     hope = "try a file without these cells" if "cells of type" in reason else hope
-    msg = f"cannot read {path} as {kinds}: {reason}; {hope}"
+    msg = f"cannot read {path} as {kinds}: {reason}" + f"; {hope}" * (", try " not in reason)
     raise MeshFileError(msg) from cause
 
 

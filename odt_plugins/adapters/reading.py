@@ -194,7 +194,7 @@ def _opened(path: Path, name: str) -> Iterator[Any]:
     elif _written_otherwise(path, name):
         with tempfile.TemporaryDirectory() as folder:
             plain = Path(folder) / path.name
-            plain.write_bytes(_as_read(path.read_bytes()))
+            plain.write_bytes(_as_read(path.read_bytes(), name))
             with _opened(plain, name) as source:
                 yield source
     elif name in READ_ON:
@@ -205,14 +205,15 @@ def _opened(path: Path, name: str) -> Iterator[Any]:
 
 
 def _written_otherwise(path: Path, name: str) -> bool:
-    """Whether a file of text has ends of lines or exponents that meshio's readers do not know."""
+    """Whether a file of text has ends of lines, exponents or groups that meshio does not know."""
     data = path.read_bytes() if name in TEXT else b""
-    return b"\0" not in data and _as_read(data) != data
+    return b"\0" not in data and _as_read(data, name) != data
 
 
-def _as_read(data: bytes) -> bytes:
-    """The same text with plain ends of lines, and exponents as in 1.5e3."""
-    return re.sub(FORTRAN, rb"\1e\2", re.sub(rb"\r\n?", b"\n", data))
+def _as_read(data: bytes, name: str) -> bytes:
+    """The same text with plain ends of lines, exponents as in 1.5e3, and slots of groups."""
+    text = re.sub(FORTRAN, rb"\1e\2", re.sub(rb"\r\n?", b"\n", data))
+    return flac3d.with_slots(text) if name == "flac3d" else text
 
 
 def _without_exponents(text: str) -> str:

@@ -102,6 +102,25 @@ def test_groups_of_other_formats_are_groups(binary, tmp_path):
     assert np.array_equal(back.points, mesh.points)
 
 
+@pytest.mark.parametrize("binary", [None, True])
+def test_slots_in_quotes_and_groups_without_a_slot_are_read(binary, tmp_path):
+    grid(tmp_path / "a.f3grid")
+    text = (tmp_path / "a.f3grid").read_text()
+    for old, new in (("SLOT Geology", 'SLOT "Old rocks"'), ('"rock 7" SLOT Default', "Rock7"),
+                     ('"top" SLOT Default', '"top" SLOT "Default"')):
+        assert old in text
+        text = text.replace(old, new)
+    (tmp_path / "b.f3grid").write_text(text)
+    optimize_file(tmp_path / "b.f3grid", tmp_path / "c.f3grid", binary=binary)
+    optimize_file(tmp_path / "c.f3grid", tmp_path / "d.f3grid", binary=False)
+    was = volumes(read_file(tmp_path / "a.f3grid"))
+    wanted = {"Rock7": was["rock 7"], "top": was["top"],
+              "zone:rock -2:Old rocks": was["zone:rock -2:Geology"]}
+    for name in "bcd":
+        assert volumes(read_file(tmp_path / f"{name}.f3grid")) == pytest.approx(wanted)
+    assert 'ZGROUP "rock -2" SLOT "Old rocks"' in (tmp_path / "d.f3grid").read_text()
+
+
 @pytest.mark.parametrize(("at", "said"), [(8, "it ends too early"),
                                           (None, "it has a cell of 4294967295 nodes")])
 def test_binary_files_that_state_more_than_they_hold_are_refused(at, said, tmp_path):

@@ -12,7 +12,7 @@ import pytest
 
 from odt_plugins.adapters.files import read_file, write_file
 from odt_plugins.api import optimize_file
-from odt_plugins.errors import DataNotKeptWarning
+from odt_plugins.errors import DataNotKeptWarning, MeshFileError
 
 
 def rim(cells):
@@ -121,3 +121,11 @@ def test_groups_and_sets_of_other_formats_are_markers(labelled, tmp_path):
         back.cells, back.cell_sets["inlet"], strict=True) if len(part))
     assert {*map(tuple, np.sort(rows, axis=1).tolist())} == {
         *map(tuple, np.sort(skin[inlet], axis=1).tolist())}
+
+
+def test_files_of_several_zones_are_told_what_to_try(tmp_path):
+    (tmp_path / "a.su2").write_text("NZONE= 2\nIZONE= 1\nNDIME= 2\n")
+    with pytest.raises(MeshFileError) as caught:
+        read_file(tmp_path / "a.su2")
+    assert str(caught.value) == (f"cannot read {tmp_path / 'a.su2'} as su2: it has 2 zones, "
+                                 "expected one, try a file for each zone")

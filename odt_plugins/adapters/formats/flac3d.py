@@ -35,6 +35,12 @@ HEAD = (1375135718, 3)
 MOST = 8
 """Most nodes of a cell."""
 
+GROUP = re.compile(
+    rb"^[ \t]*([ZF]GROUP)[ \t]+(?:\"(?P<a>[^\"\n]*)\"|'(?P<b>[^'\n]*)'|(?P<c>[^\s\"']+))"
+    rb"(?:[ \t]+SLOT[ \t]+[\"']?(?P<slot>[^\"'\n]*?)[\"']?)?[ \t]*$", re.MULTILINE)
+"""Line that begins a group: its name and its slot may be in quotes, and the slot is not said by
+all programs."""
+
 ROW = 20
 """Numbers of cells in a line."""
 
@@ -95,6 +101,13 @@ def expect_whole(path: Path) -> None:
         raise MeshFileError(msg)
 
 
+def with_slots(data: bytes) -> bytes:
+    """The same text with groups as meshio reads them: names in quotes, slots in none."""
+    return GROUP.sub(lambda found: found[1] + b' "' + (
+        found["a"] or found["b"] or found["c"] or b"") + b'" SLOT ' + (
+            found["slot"] or SLOT.encode()), data)
+
+
 def completed(path: Path, mesh: Any) -> Any:
     """A mesh that meshio read, with the groups of its own cells as sets.
 
@@ -106,7 +119,7 @@ def completed(path: Path, mesh: Any) -> Any:
     sets: dict[str, list[NDArray[np.int64]]] = {}
     for title, members in mesh.cell_sets.items():
         _, name, slot = _parted(title)
-        plain = name if slot.strip("\"'") == SLOT else title
+        plain = name if slot == SLOT else title
         rows = [np.asarray(part, dtype=np.int64) - start
                 for part, start in zip(members, starts, strict=False)]
         before = sets.get(plain, [row[:0] for row in rows])
@@ -179,6 +192,7 @@ def _text(points: NDArray[np.float64], zones: Part, faces: Part) -> bytes:
         if part.groups:
             lines.append(f"* {part.word.upper()} GROUPS")
         for (name, slot), numbers in part.groups.items():
+            slot = slot if re.fullmatch(r"[\w.-]+", slot) else f'"{slot}"'
             lines.append(f'{part.word[0].upper()}GROUP "{name}" SLOT {slot}')
             lines += [" ".join(map(str, numbers[at: at + ROW].tolist()))
                       for at in range(0, len(numbers), ROW)]

@@ -47,7 +47,7 @@ def cgns(path: Path) -> Any:
         bases = [part for part in homes for zone in part.values()
                  if "GridCoordinates" in _inside(zone)]
         if len(bases) != 1:
-            msg = f"it has {len(bases)} zones, expected one"
+            msg = f"it has {len(bases)} zones, expected one, try a file for each zone"
             raise MeshFileError(msg)
         zones = [name for name, zone in bases[0].items() if "GridCoordinates" in _inside(zone)]
         zone = _inside(bases[0][zones[0]])

@@ -254,7 +254,7 @@ def _parsed(data: bytes) -> Parts:
         elif name == "MARKER_TAG":
             marker = value
         elif name == "NZONE" and int(value) > 1:
-            msg = f"it has {value} zones, expected one"
+            msg = f"it has {value} zones, expected one, try a file for each zone"
             raise MeshFileError(msg)
     points = [s for s in sections if s.name == "NPOIN"]
     markers = sum(s.name == "MARKER_ELEMS" for s in sections)
