@@ -41,7 +41,7 @@ from odt_plugins.adapters.legacy import widen
 from odt_plugins.adapters.lengths import alike
 from odt_plugins.adapters.recolouring import recoloured
 from odt_plugins.adapters.set_labels import as_sets
-from odt_plugins.adapters.stated import declares_no_cells, meaning_of
+from odt_plugins.adapters.stated import declares_no_cells, hope_of, meaning_of
 from odt_plugins.adapters.symbolic import behind, name_behind, with_companions
 from odt_plugins.errors import (
     DataNotKeptWarning,
@@ -64,10 +64,6 @@ PREFERRED = {".msh": "gmsh"}
 
 REMARKS = 3
 """Most remarks of a reader that are passed on one by one."""
-
-CUT = (r"\bends?\b|declares|announces|incomplete|to its end|\d+ bytes|lines for|\bholds\b|"
-       r"truncated|HDF error")
-"""What the reason has in it where a file is not whole."""
 
 CELLS = r"(?:line|triangle|quad|tetra|pyramid|wedge|hexahedron)\d+"
 """What types of cells of higher order are called."""
@@ -332,7 +328,7 @@ def _read_as(path: Path, formats: list[str]) -> tuple[Any, list[str], str]:
         except TimeoutError as exc:
             cause = exc
             break
-        # It may raise anything at all.
+        # A parser may raise anything at all on a broken file.
         except Exception as exc:
             cause = cause or exc
     if declares_no_cells(path, formats):
@@ -348,10 +344,8 @@ def _read_as(path: Path, formats: list[str]) -> tuple[Any, list[str], str]:
         key = cause.args[0]
         reason = (f"it has cells of type {key}, which meshio does not know"
                   if re.fullmatch(CELLS, str(key)) else f"it refers to {key}, which is not there")
-    cut = isinstance(cause, EOFError) or re.search(CUT, reason) or not READERS.keys() & set(formats)
-    hope = "expected a complete file" if cut else f"expected a file that is one of {kinds}"
-    hope = "try a file without these cells" if "cells of type" in reason else hope
-    msg = f"cannot read {path} as {kinds}: {reason}" + f"; {hope}" * (", try " not in reason)
+    cut = isinstance(cause, EOFError) or not READERS.keys() & set(formats)
+    msg = f"cannot read {path} as {kinds}: {reason}{hope_of(reason, kinds, cut=cut)}"
     raise MeshFileError(msg) from cause
 
 

@@ -42,9 +42,17 @@ SAID = (
     (r".*(?:inhomogeneous|the number of columns changed|cannot reshape array|zip\(\) argument|"
      r"index out of range|out of bounds|must match exactly|broadcast).*",
      "its lines do not fit together, or some are missing"),
+    (r"\[Errno 2\] [^:]*: '(?:.*[\\/])?(.*)'", r"it goes with \1, which is not there"),
     (r"\[Errno -\d+\] (NetCDF: [^']*?): '.*", r"\1"),
 )
 """What Python and its libraries say of broken files, and what it means."""
+
+CUT = (r"\bends?\b|declares|announces|incomplete|to its end|\d+ bytes|lines for|\bholds\b|"
+       r"truncated|HDF error")
+"""What the reason has in it where a file is not whole."""
+
+ELSEWHERE = r"it (?:includes|goes with) .*, which is not there|its data are in .*, which is missing"
+"""The reason where another file is missing."""
 
 
 def expect_counts(path: Path, name: str) -> int:
@@ -116,3 +124,22 @@ def meaning_of(reason: str) -> str:
         if found:
             return found.expand(meaning)
     return reason
+
+
+def hope_of(reason: str, kinds: str, *, cut: bool) -> str:
+    """What is expected, or to be tried, behind the reason for which a file is not read.
+
+    Parameters
+    ----------
+    reason : str
+    kinds : str    the formats as which it was read
+    cut : bool     whether it is sure to be incomplete if it is of one of these
+    """
+    if ", try " in reason:
+        return ""
+    if "cells of type" in reason:
+        return "; try a file without these cells"
+    if re.match(ELSEWHERE, reason):
+        return "; expected that file, too"
+    whole = cut or re.search(CUT, reason) is not None
+    return f"; expected {'a complete file' if whole else f'a file that is one of {kinds}'}"

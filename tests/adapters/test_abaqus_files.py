@@ -397,13 +397,25 @@ def test_surfaces_of_an_assembly_name_elements_of_its_instances(tmp_path):
 @pytest.mark.parametrize(("text", "said"), [
     ("*NODE\n1, 0., 0.\n*NGEN\n1, 5, 1\n", "it has \\*NGEN"),
     ("*NODE, SYSTEM=C\n1, 0., 0.\n", "it has \\*NODE"),
-    ("*INCLUDE, INPUT=other.inp\n", "it includes other.inp, which is not there"),
+    ("*INCLUDE, INPUT=other.inp\n", "other.inp, which is not there; expected that file, too"),
     ("*NODE\n1, 0., 0.\n*ELEMENT, TYPE=CPS3\n1, 1, 1\n", "ends within element 1"),
 ])
 def test_what_is_not_written_out_is_refused(text, said, tmp_path):
     (tmp_path / "a.inp").write_text(text)
     with pytest.raises(MeshFileError, match=said):
         read_file(tmp_path / "a.inp")
+
+
+def test_what_is_in_the_place_of_an_include_has_the_ends_of_lines_of_the_deck(tmp_path):
+    points, cells = box(3, 4, plane=0.5)
+    (tmp_path / "nodes.inc").write_bytes(b"*NODE\r\n" + rows(
+        [[i + 1, *x] for i, x in enumerate(points.tolist())], "\r\n")[:-2].encode())
+    (tmp_path / "a.inp").write_bytes(
+        b"*INCLUDE, INPUT=nodes.inc\r\n*ELEMENT, TYPE=C3D4, ELSET=E\r\n" + rows(
+            [[i + 1, *row] for i, row in enumerate((cells + 1).tolist())], "\r\n").encode())
+    optimize_file(tmp_path / "a.inp", tmp_path / "b.inp")
+    data = (tmp_path / "b.inp").read_bytes()
+    assert data.count(b"\n") == data.count(b"\r\n") > len(points)
 
 
 def test_what_a_deck_includes_is_in_its_place_afterwards(tmp_path):

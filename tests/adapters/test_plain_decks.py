@@ -180,6 +180,15 @@ def test_what_is_not_whole_is_refused(name, text, said, tmp_path):
 
 
 
+@pytest.mark.parametrize(("text", "said"), [
+    ("hello\n", "it has no section; expected a file that is one of mdpa"),
+    ("Begin Nodes\n1 0 0 0\n", "it ends within Nodes; expected a complete file")])
+def test_what_is_no_mdpa_or_half_of_one_is_told(text, said, tmp_path):
+    (tmp_path / "a.mdpa").write_text(text)
+    with pytest.raises(MeshFileError, match=said):
+        read_file(tmp_path / "a.mdpa")
+
+
 def mdpa(path, order, end="\n"):
     points, cells = box(3, 5 if order == 1 else 4)
     steel = points[cells].mean(axis=1)[:, 0] < 0.5

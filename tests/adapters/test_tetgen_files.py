@@ -14,7 +14,7 @@ from boxes import box, rim
 from odt_plugins import remesh
 from odt_plugins.adapters.files import read_file, write_file
 from odt_plugins.api import optimize_file
-from odt_plugins.errors import DataNotKeptWarning
+from odt_plugins.errors import DataNotKeptWarning, MeshFileError
 
 TETGEN = [[2, 3], [0, 3], [0, 1], [1, 2], [1, 3], [0, 2]]
 """Edges with a node of each row of second order, behind its corners."""
@@ -170,3 +170,10 @@ def test_lines_of_second_order_are_written_or_counted(suffix, tmp_path):
     assert len(back.cells_dict["triangle6"]) == 32
     counted = "16 cells of type line3" in str(told[0].message)
     assert counted == ("line3" not in back.cells_dict) == (suffix != ".vol")
+
+
+def test_a_file_without_its_points_is_told_which_are_missing(tmp_path):
+    (tmp_path / "a.ele").write_text("1 4 0\n1 1 2 3 4\n")
+    with pytest.raises(MeshFileError, match=(
+            r"a\.ele as tetgen: it goes with a\.node, which is not there; expected that file")):
+        read_file(tmp_path / "a.ele")

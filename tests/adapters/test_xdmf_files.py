@@ -184,7 +184,7 @@ def test_parts_that_are_missing_or_short_are_named(tmp_path):
     with pytest.raises(MeshFileError, match=r"flow\.h5 is incomplete.*expected a complete file"):
         read_file(path)
     (tmp_path / "flow.h5").unlink()
-    with pytest.raises(MeshFileError, match=r"flow\.h5, which is missing"):
+    with pytest.raises(MeshFileError, match=r"flow\.h5, which is missing; expected that file, too"):
         read_file(path)
     path.write_text(path.read_text()[:-40])
     with pytest.raises(MeshFileError, match=r"its XML ends or breaks.*expected a complete file"):

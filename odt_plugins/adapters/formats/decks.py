@@ -80,13 +80,14 @@ def with_included(
         last = re.compile(rb"\r?\n|\r|\Z").search(data, found.end())
         stop = len(data) if last is None else last.end()
         line = data[found.start(): stop].rstrip(b"\r\n")
+        end = data[found.start() + len(line): stop] or b"\n"
         line = (comment + b" ".join(line.split()) if re.match(rb"(?i)\W*INCLUDE", found[0])
                 else line.replace(found["cut"], b""))
         more = b""
         if other.resolve() not in outer:
             more = with_included(other, words, comment, outer)
-        out += [data[at: found.start()], line, b"\n", more]
-        out += [b"\n"] if more and not more.endswith((b"\r", b"\n")) else []
+        out += [data[at: found.start()], line, end, more]
+        out += [end] if more and not more.endswith((b"\r", b"\n")) else []
         at = stop
     return b"".join([*out, data[at:]])
 

@@ -239,7 +239,7 @@ def _parsed(data: bytes) -> Parts:
         elif stack:
             stack[-1].rows.append(row)
     if stack or not sections:
-        msg = f"it ends within {stack[-1].kind if stack else 'nothing'}"
+        msg = f"it ends within {stack[-1].kind}" if stack else "it has no section"
         raise MeshFileError(msg)
     nodes = [row for s in sections if s.kind == "Nodes" for row in s.rows]
     number = {("", int(row.words[0])): v for v, row in enumerate(nodes)}
