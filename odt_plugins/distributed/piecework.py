@@ -44,9 +44,6 @@ Ids = NDArray[np.int64]
 NEAR_RINGS = 2
 """Rings of cells around inverted ones that count as near to them."""
 
-REGIONS = "marker"
-"""Name of the cell array of labels in the result where none was found."""
-
 
 class Taken(NamedTuple):
     """What the driver learns of a piece of the input.
@@ -210,7 +207,6 @@ def numbered(source: str, number: Numbers) -> Piece:
     labels = np.zeros(len(piece.cells), dtype=np.int64)
     for name, known in zip(number.regions, number.known, strict=True):
         labels = labels * len(known) + np.searchsorted(known, cell_data[name].reshape(-1))
-    cell_data = cell_data if number.regions else {REGIONS: labels} | cell_data
     return replace(piece, ids=ids, sizes=sizes / number.scale, data=data, cell_data=cell_data,
                    regions=labels)
 

@@ -152,7 +152,8 @@ def piece_files(source: str | os.PathLike[str]) -> tuple[list[str], bool]:
         try:
             grid = ElementTree.parse(path).getroot().find("PUnstructuredGrid")
         except (OSError, ElementTree.ParseError) as exc:
-            msg = f"cannot read {path}: {exc}; expected a .pvtu file or a directory of .vtu files"
+            why = getattr(exc, "strerror", None) or exc
+            msg = f"cannot read {path}: {why}; expected a .pvtu file or a directory of .vtu files"
             raise MeshFileError(msg) from exc
         ghosts = grid is not None and grid.get("GhostLevel", "0") != "0"
         pieces = [] if grid is None else grid.findall("Piece")

@@ -567,6 +567,19 @@ def test_cell_arrays_come_through_as_they_do_in_one_piece(tmp_path, recwarn):
     assert sorted(array.get("Name") for array in declared) == ["marker", "place", "row"]
 
 
+@pytest.mark.parametrize("data", [{}, {"place": 1}])
+def test_pieces_without_labels_get_none(data, tmp_path):
+    start = ball(300)
+    index = write_pieces(tmp_path / "in", start.points, start.cells,
+                         bricks(start.points, start.cells, 2),
+                         **{name: np.full(len(start.cells), 0.5) for name in data})
+    optimize_file(index, tmp_path / "out.pvtu")
+    root = ElementTree.parse(tmp_path / "out.pvtu").getroot()
+    assert [array.get("Name") for array in root.iterfind(".//PCellData/*")] == [*data]
+    for piece in root.iter("Piece"):
+        assert set(meshio.read(tmp_path / piece.get("Source")).cell_data) == set(data)
+
+
 def test_cells_of_mixed_orientation_are_turned(tmp_path):
     start = ball(150)
     cells = start.cells.copy()
@@ -619,3 +632,8 @@ def test_a_full_disk_leaves_the_old_result(tmp_path):
     assert "MeshFileError: cannot write" in done.stderr
     assert (tmp_path / "out.pvtu").read_text() == "old"
     assert sorted(os.listdir(tmp_path)) == ["in", "in.pvtu", "out.pvtu"]
+
+
+def test_a_source_that_is_missing_is_told_in_words(tmp_path):
+    with pytest.raises(MeshFileError, match=r"in\.pvtu: No such file or directory; expected a"):
+        optimize_file(tmp_path / "in.pvtu", tmp_path / "out.pvtu")

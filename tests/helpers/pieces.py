@@ -44,6 +44,6 @@ def glued(index: Path, n: int) -> tuple[Any, Any, Any, Any]:
         assert np.array_equal(ids[was[known]], mesh.point_data["GlobalPointIds"][known])
         points[was], ids[was] = mesh.points, mesh.point_data["GlobalPointIds"]
         cells.append(was[mesh.cells[0].data])
-        regions.append(mesh.cell_data["marker"][0])
+        regions.append(mesh.cell_data.get("marker", [np.zeros(len(cells[-1]), np.int64)])[0])
     assert len(np.unique(ids)) == n
     return points, np.concatenate(cells), np.concatenate(regions), ids
