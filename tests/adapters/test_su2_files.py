@@ -129,3 +129,20 @@ def test_files_of_several_zones_are_told_what_to_try(tmp_path):
         read_file(tmp_path / "a.su2")
     assert str(caught.value) == (f"cannot read {tmp_path / 'a.su2'} as su2: it has 2 zones, "
                                  "expected one, try a file for each zone")
+
+
+def test_what_a_file_says_besides_its_mesh_is_named_where_it_is_lost(tmp_path):
+    points, cells, _ = contract.grid(2, 3)
+    lines = ["NDIME= 2", f"NELEM= {len(cells)}", *("5 " + " ".join(map(str, row)) for row in cells),
+             f"NPOIN= {len(points)}", *(f"{x} {y}" for x, y in points.tolist()),
+             "NMARK= 1", "MARKER_TAG= wall", "MARKER_ELEMS= 1",
+             "3 {} {}".format(*rim(cells)[0]), "SEND_RECV= 1", "NPERIODIC= 1",
+             "PERIODIC_INDEX= 0", *["0 0 0"] * 3]
+    (tmp_path / "a.su2").write_text("\n".join([*lines, ""]))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        optimize_file(tmp_path / "a.su2", tmp_path / "b.su2")
+    assert (tmp_path / "b.su2").read_text().endswith("\n".join(["", *lines[-6:], ""]))
+    with pytest.warns(DataNotKeptWarning,
+                      match="what is said by NPERIODIC, PERIODIC_INDEX, SEND_RECV"):
+        optimize_file(tmp_path / "a.su2", tmp_path / "b.vtu")

@@ -19,6 +19,7 @@ from odt_plugins.adapters.formats.decks import (
     numbers,
     real,
     rows_of,
+    unread,
 )
 from odt_plugins.adapters.formats.titles import CONTROL, decoded, written
 from odt_plugins.errors import MeshFileError, UnsupportedMeshError
@@ -30,6 +31,9 @@ TYPES = {1: ("vertex", 1), 3: ("line", 2), 5: ("triangle", 3), 9: ("quad", 4), 1
 TAG = "su2:tag"
 """Array of the numbers of markers, 0 of cells."""
 
+
+KNOWN = ("NDIME", "NELEM", "NPOIN", "NMARK", "MARKER_TAG", "MARKER_ELEMS", "NZONE", "IZONE")
+"""Words that tell of the mesh; others, such as NPERIODIC, tell of more."""
 
 CHUNK = 8192
 """Bytes behind which meshio takes points from a wrong place, in files with other ends of lines."""
@@ -54,6 +58,7 @@ class Parts(NamedTuple):
     cells : list of Section
     blocks : list                type of every block, and its rows as (section, row)
     remarks : list of str
+    others : list of str         words besides KNOWN
     """
 
     dim: int
@@ -61,6 +66,7 @@ class Parts(NamedTuple):
     cells: list[Section]
     blocks: list[tuple[str, list[tuple[int, int]]]]
     remarks: list[str]
+    others: list[str]
 
 
 class _Pair(tuple):  # type: ignore[type-arg]
@@ -106,6 +112,7 @@ def read(path: Path) -> Any:
         for name in names:
             sets[name].append(np.flatnonzero(markers == name))
     mesh = Mesh(points, cells, cell_data={TAG: tags}, cell_sets=sets)
+    mesh.info = unread("what is said by", parts.others)
     setattr(mesh, REMARKS, parts.remarks)
     return mesh
 
@@ -234,6 +241,7 @@ def _parsed(data: bytes) -> Parts:
     sections: list[Section] = []
     remarks: list[str] = []
     stated: list[int] = []
+    others: list[str] = []
     for row in rows_of(data, b"%"):
         text = decoded(data[row.start: row.stop].partition(b"%")[0])
         if "=" not in text:
@@ -244,6 +252,7 @@ def _parsed(data: bytes) -> Parts:
             continue
         name, _, value = text.partition("=")
         name, value = name.strip().upper(), value.strip()
+        others += [name] if name not in KNOWN else []
         if name in ("NPOIN", "NELEM", "MARKER_ELEMS"):
             sections.append(Section(name, row, marker if name[0] == "M" else "", []))
             stated.append(int(value.split()[0]))
@@ -282,4 +291,5 @@ def _parsed(data: bytes) -> Parts:
             found.setdefault((section.name != "NELEM", kind), []).append((s, r))
     order = {kind: k for k, (kind, _) in enumerate(TYPES.values())}
     blocks = sorted(found.items(), key=lambda item: (item[0][0], order[item[0][1]]))
-    return Parts(dim, points[0], cells, [(kind, own) for (_, kind), own in blocks], remarks)
+    return Parts(dim, points[0], cells, [(kind, own) for (_, kind), own in blocks], remarks,
+                 others)
