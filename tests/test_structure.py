@@ -95,7 +95,7 @@ TOOLKITS = {
                "adapters/formats/su2.py", "adapters/formats/tetgen.py",
                "adapters/formats/dolfin.py", "adapters/formats/ugrid.py",
                "adapters/formats/tecplot.py", "adapters/formats/hdf.py",
-               "adapters/formats/fluent.py",
+               "adapters/formats/fluent.py", "adapters/formats/permas.py",
                "adapters/formats/mdpa.py", "adapters/formats/vol.py",
                "adapters/formats/xdmf.py", "cli/demo.py",
                "distributed/store.py", "generate/fill.py", "hosts/script.py"},

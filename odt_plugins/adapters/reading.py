@@ -19,6 +19,7 @@ from odt_plugins.adapters import apart, gmsh_files, netgen_files, vtk_files
 from odt_plugins.adapters.formats import COMPLETED, READERS, flac3d, fluent, vol
 from odt_plugins.adapters.formats.decks import REMARKS
 from odt_plugins.adapters.formats.readers import readable, reader_of
+from odt_plugins.adapters.formats.vol_tables import content
 from odt_plugins.adapters.kinds import nodes_of
 from odt_plugins.adapters.legacy import expect_whole
 from odt_plugins.adapters.stated import expect_counts
@@ -193,8 +194,8 @@ def _opened(path: Path, name: str) -> Iterator[Any]:
         yield io.StringIO(_without_exponents(path.read_text()))
     elif _written_otherwise(path, name):
         with tempfile.TemporaryDirectory() as folder:
-            plain = Path(folder) / path.name
-            plain.write_bytes(_as_read(path.read_bytes(), name))
+            plain = Path(folder) / (path.stem if path.suffix.lower() == ".gz" else path.name)
+            plain.write_bytes(_as_read(content(path), name))
             with _opened(plain, name) as source:
                 yield source
     elif name in READ_ON:
@@ -205,9 +206,12 @@ def _opened(path: Path, name: str) -> Iterator[Any]:
 
 
 def _written_otherwise(path: Path, name: str) -> bool:
-    """Whether a file of text has ends of lines, exponents or groups that meshio does not know."""
-    data = path.read_bytes() if name in TEXT else b""
-    return b"\0" not in data and _as_read(data, name) != data
+    """Whether a file of text is packed, or has ends of lines, exponents or groups that meshio does
+    not know.
+    """
+    raw = path.read_bytes() if name in TEXT else b""
+    data = content(path) if raw else raw
+    return b"\0" not in data and _as_read(data, name) != raw
 
 
 def _as_read(data: bytes, name: str) -> bytes:

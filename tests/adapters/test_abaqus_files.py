@@ -397,6 +397,7 @@ def test_surfaces_of_an_assembly_name_elements_of_its_instances(tmp_path):
 @pytest.mark.parametrize(("text", "said"), [
     ("*NODE\n1, 0., 0.\n*NGEN\n1, 5, 1\n", "it has \\*NGEN"),
     ("*NODE, SYSTEM=C\n1, 0., 0.\n", "it has \\*NODE"),
+    ("4 1 0 0 0\n1 0. 0. 0.\n", "a.inp as abaqus: it has no keyword.*, try the suffix .avs for"),
     ("*INCLUDE, INPUT=other.inp\n", "other.inp, which is not there; expected that file, too"),
     ("*NODE\n1, 0., 0.\n*ELEMENT, TYPE=CPS3\n1, 1, 1\n", "ends within element 1"),
 ])

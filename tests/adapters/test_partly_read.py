@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gzip
+
 import boxes
 import contract
 import meshio
@@ -111,6 +113,18 @@ def test_sections_of_permas_are_named(suffix, tmp_path):
         "$END STRUCTURE", "$ELPROP\n! none\n$MATERIAL NAME=M\n$END STRUCTURE"))
     with pytest.warns(DataNotKeptWarning, match="the sections ELPROP, MATERIAL"):
         write_file(tmp_path / f"b{suffix}", read_file(tmp_path / f"a{suffix}"))
+
+
+def test_packed_permas_is_read_and_written(tmp_path):
+    put(tmp_path / "a.dato")
+    packed = tmp_path / "b.dato.gz"
+    packed.write_bytes(gzip.compress((tmp_path / "a.dato").read_bytes()))
+    plain, back = read_file(tmp_path / "a.dato"), read_file(packed)
+    write_file(tmp_path / "c.post.gz", back)
+    assert gzip.decompress((tmp_path / "c.post.gz").read_bytes()).startswith(b"!PERMAS")
+    for mesh in (back, read_file(tmp_path / "c.post.gz")):
+        assert np.array_equal(mesh.points, plain.points)
+        assert np.array_equal(mesh.cells_dict["tetra"], plain.cells_dict["tetra"])
 
 
 def test_permas_of_second_order_is_read_with_its_corners_first(tmp_path):

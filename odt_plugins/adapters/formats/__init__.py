@@ -103,7 +103,8 @@ WRITERS: dict[str, Callable[[Path, Any, bool | None], list[str]]] = {
     "abaqus": abaqus_write.write, "avsucd": avsucd.write, "cgns": cgns_write.write,
     "exodus": exodus_write.write,
     "flac3d": flac3d.write, "med": med.write, "medit": medit.write, "nastran": nastran_write.write,
-    "netgen": vol.write, "obj": obj.write, "off": off.write, "ply": ply.write,
+    "netgen": vol.write, "obj": obj.write, "off": off.write, "permas": permas.write,
+    "ply": ply.write,
     "stl": stl.write, "su2": su2.write, "tetgen": tetgen.write, "ugrid": ugrid.write,
 }
 """Writers that take the place of meshio's: path, mesh and whether binary, to what is lost."""

@@ -121,6 +121,9 @@ def parsed(path: Path) -> Deck:
     """Take a deck apart."""
     texts = with_included(path, INCLUDED, b"** ").splitlines(keepends=True)
     sections = list(_sections(texts))
+    if not sections:
+        msg = "it has no keyword, which begins with *, try the suffix .avs for a file of AVS-UCD"
+        raise MeshFileError(msg)
     made = sorted({s.name for s in sections if s.name in MADE})
     made += [s.name for s in sections if s.name == "NODE" and
              s.params.get("SYSTEM", "R").upper() != "R"][:1]

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from odt_plugins.adapters.formats.decks import unread
+from odt_plugins.adapters.formats.vol_tables import content
 
 KNOWN = {"ENTER", "STRUCTURE", "COOR", "ELEMENT", "END", "EXIT", "FIN"}
 """Sections that hold the mesh, or only others."""
@@ -22,8 +23,7 @@ ORDER = {"triangle6": [0, 3, 1, 4, 2, 5], "tetra10": [0, 4, 1, 5, 2, 6, 7, 8, 9,
 
 def completed(path: Path, mesh: Any) -> Any:
     """A mesh that meshio read, its corners first, with the names of sections that are not in it."""
-    data = path.read_bytes()
-    data = gzip.decompress(data) if path.suffix == ".gz" else data
+    data = content(path)
     names = {name.decode().upper() for name in re.findall(rb"(?m)^[ \t]*\$[ \t]*([A-Za-z]\w*)",
                                                           data)}
     for block in mesh.cells:
@@ -31,3 +31,14 @@ def completed(path: Path, mesh: Any) -> Any:
             block.data = np.asarray(block.data)[:, np.argsort(ORDER[block.type])]
     mesh.info = unread("the sections", names - KNOWN)
     return mesh
+
+
+def write(path: Path, mesh: Any, binary: bool | None) -> list[str]:
+    """Write a mesh by meshio, and pack the file where its suffix says so."""
+    import meshio
+
+    del binary
+    meshio.write(path, mesh, file_format="permas")
+    if path.suffix.lower() == ".gz":
+        path.write_bytes(gzip.compress(path.read_bytes()))
+    return []
