@@ -174,6 +174,8 @@ def optimize(
     pieces = target.suffix == ".pvtu"
     if given("block_rounds") and blocks is None and not pieces:
         refuse("block_rounds", "for a mesh that is one block", "--blocks beside it")
+    if pieces and blocks is not None:
+        refuse("blocks", "for a mesh in pieces", "it for whole meshes")
     if pieces and (file_format or text is not None):
         msg = "--file-format, --ascii and --binary are for meshes of one file, OUTPUT names pieces"
         raise click.UsageError(msg)

@@ -135,6 +135,8 @@ def test_the_command_takes_pieces(tmp_path, capsys, monkeypatch):
                  bricks(start.points, start.cells, 2))
     assert cli.main(["optimize", "in.pvtu", "out.pvtu", "--plot", "x.png"]) == 2
     assert "one file each" in capsys.readouterr().err
+    assert cli.main(["optimize", "in.pvtu", "out.pvtu", "--blocks", "2"]) == 2
+    assert "got --blocks for a mesh in pieces" in capsys.readouterr().err
     assert cli.main(["optimize", "in.pvtu", "out.pvtu", "--finish"]) == 0
     said = capsys.readouterr()
     assert "pieces 3" in said.out
@@ -637,3 +639,13 @@ def test_a_full_disk_leaves_the_old_result(tmp_path):
 def test_a_source_that_is_missing_is_told_in_words(tmp_path):
     with pytest.raises(MeshFileError, match=r"in\.pvtu: No such file or directory; expected a"):
         optimize_file(tmp_path / "in.pvtu", tmp_path / "out.pvtu")
+
+
+def test_a_broken_piece_is_named(tmp_path):
+    start = ball(300)
+    points = start.points.copy()
+    points[start.cells[0, 0]] = np.nan
+    index = write_pieces(tmp_path / "in", points, start.cells,
+                         bricks(start.points, start.cells, 2))
+    with pytest.raises(InvalidMeshError, match=r"^.*piece.*\.vtu: got 1 point .*finite numbers"):
+        optimize_file(index, tmp_path / "out.pvtu")
