@@ -5,8 +5,6 @@ from __future__ import annotations
 import functools
 import os
 from dataclasses import replace
-from importlib import import_module
-from threading import Thread
 from typing import TYPE_CHECKING, Any, TypeVar, Unpack, overload
 
 import numpy as np
@@ -187,7 +185,6 @@ def optimize_file(
                                how.get("client"), how.get("workers", 0))
     check_output(target, file_format, binary)
     expect_same_kind(source, target)
-    Thread(target=import_module, args=("odt_plugins.engine.run.plan",), daemon=True).start()
     mesh = read_file(source)
     expect_same_kind(mesh, target)
     mesh, report = optimize_with_report(mesh, **how)

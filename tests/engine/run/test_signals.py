@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import textwrap
+import threading
 from pathlib import Path
 
 import meshio
@@ -18,6 +19,7 @@ import tet_meshes as tm
 from processes import wait_until
 
 import odt_plugins
+from odt_plugins import api
 from odt_plugins.engine.compiled import threads
 from odt_plugins.engine.compiled.kernel import Kernel
 from odt_plugins.engine.moves import flips2d
@@ -142,3 +144,19 @@ def test_ctrl_c_in_the_middle_of_a_run_ends_it_and_leaves_no_file(tmp_path, work
     assert job.returncode == -signal.SIGINT
     assert error.splitlines()[-1] == "KeyboardInterrupt"
     assert sorted(p.name for p in Path(tmp_path).iterdir()) == ["in.vtu", "started"]
+
+
+def test_no_thread_imports_beside_the_reading_of_a_file(tmp_path, monkeypatch):
+    """An interrupt within an import may leave a lock of Python's held, at which another waits."""
+    source = tmp_path / "in.mesh"
+    points, cells = tm.grid(2, 3)
+    meshio.Mesh(points, [("tetra", cells)]).write(source)
+    before, beside, read = threading.active_count(), [], api.read_file
+
+    def counted(path):
+        beside.append(threading.active_count() - before)
+        return read(path)
+
+    monkeypatch.setattr(api, "read_file", counted)
+    api.optimize_file(source, tmp_path / "out.mesh")
+    assert beside == [0]
