@@ -82,8 +82,10 @@ def expect_arrays(
         named_metric(host, metric)
 
 
-def named_field(host: HostMesh, name: str, what: str = "field ") -> NDArray[Any]:
+def named_field(host: HostMesh, name: str, what: str) -> NDArray[Any]:
     """Find the point array (n, ...) of floating-point numbers of a mesh that has a name.
+
+    ``what`` is before the name in the error.
 
     Raises
     ------

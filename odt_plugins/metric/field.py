@@ -41,10 +41,13 @@ TRIES = 12
 NEAR = 0.005
 """Part by which that number may be missed."""
 
+RATIO = 1e3
+"""Largest ratio of the lengths of a cell in two directions, unless another is given."""
+
 
 def metric_from_field(
     mesh: Any, values: Any, cells: int, *, norm: float = 2.0, growth: float | None = None,
-    ratio: float = 1e3,
+    ratio: float = RATIO,
 ) -> FloatArray:
     """Make a metric in which a mesh of so many cells interpolates a field with the least error.
 
@@ -104,6 +107,23 @@ def metric_from_field(
     >>> bool(np.allclose(stretch, 3.0, rtol=1e-3))
     True
     """
+    return _with_least_error(mesh, values, cells, norm, growth, ratio, "field ")
+
+
+def adapted_metric(
+    mesh: Any, names: str | Sequence[str], cells: int | None, vertices: int | None,
+    growth: float | None,
+) -> FloatArray:
+    """The metric of point arrays for so many cells, or about so many vertices."""
+    listed = [names] if isinstance(names, str) else list(names)
+    count = cells or 5 * (vertices or 1)
+    return _with_least_error(mesh, listed, count, 2.0, growth, RATIO, "adapt=")
+
+
+def _with_least_error(
+    mesh: Any, values: Any, cells: int, norm: float, growth: float | None, ratio: float, what: str
+) -> FloatArray:
+    """As :func:`metric_from_field`; ``what`` is before the names of fields in errors."""
     cells, norm, growth, ratio = (plain_values(name, value) for name, value in (
         ("cells", cells), ("norm", norm), ("growth", growth), ("ratio", ratio)))
     expect(isinstance(cells, Integral) and not isinstance(cells, bool) and cells >= 1, "cells",
@@ -117,7 +137,7 @@ def metric_from_field(
     with words_of(host):
         points, frame = flat_points(host)
         corners = np.ascontiguousarray(host.cells, dtype=np.int32)
-        fields = [_of_unit_range(_values(host, part), corners) for part in _parts(values)]
+        fields = [_of_unit_range(_values(host, part, what), corners) for part in _parts(values)]
     along = tangents(points, corners) if points.shape[1] == corners.shape[1] else None
     limits = growth or GROWTH, ratio
     known = [(recovered_hessians(points, corners, field, along), _least(points, corners, field))
@@ -136,18 +156,6 @@ def metric_from_field(
     plane = Tangents(np.broadcast_to(frame.axes, (len(points), 2, 3)),
                      np.broadcast_to(normal, (len(points), 3)))
     return plane.lifted(metric)
-
-
-def adapted_metric(
-    mesh: Any, names: str | Sequence[str], cells: int | None, vertices: int | None,
-    growth: float | None,
-) -> FloatArray:
-    """The metric of point arrays for so many cells, or about so many vertices."""
-    listed = [names] if isinstance(names, str) else list(names)
-    try:
-        return metric_from_field(mesh, listed, cells or 5 * (vertices or 1), growth=growth)
-    except InvalidOptionError as exc:
-        raise InvalidOptionError(str(exc).replace("got field ", "got adapt=", 1)) from exc
 
 
 def hessians_to_metric(
@@ -295,11 +303,11 @@ def _parts(values: Any) -> list[Any]:
     return list(values) if names else [values]
 
 
-def _values(host: HostMesh, given: Any) -> FloatArray:
+def _values(host: HostMesh, given: Any, what: str) -> FloatArray:
     """Components (n, c) of one field."""
     n, name = len(host.points), "a field"
     if isinstance(given, str):
-        name, given = f"field {given!r}", named_field(host, given)
+        name, given = f"{what}{given!r}", named_field(host, given, what)
     raw = given(np.array(host.points, dtype=np.float64)) if callable(given) else given
     raw = plain_values("values", raw)
     field = real_numbers(
