@@ -13,6 +13,9 @@ FIRST = 0.8
 BEFORE_INSERTION = 0.3
 """Part of a run with insertion that is over when insertion begins."""
 
+BEFORE_TAIL = 0.8
+"""The same where vertices come to a poor tail alone, which few meshes have."""
+
 
 def until_insertion(options: Options, share: float = BEFORE_INSERTION) -> Options:
     """The same options, with a progress that ends where insertion begins."""

@@ -11,7 +11,7 @@ import numpy as np
 from odt_plugins.engine.compiled.threads import thread_pool, worth
 from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.record.memory import State
-from odt_plugins.engine.record.progress import BEFORE_INSERTION, FIRST, until_insertion
+from odt_plugins.engine.record.progress import BEFORE_INSERTION, BEFORE_TAIL, until_insertion
 from odt_plugins.engine.run.best import ALONE, BESIDES, best_state, input_returned
 from odt_plugins.engine.run.judge import cut_vertices, faults, slides, vertices_of_other_sizes
 from odt_plugins.engine.run.outcome import Leaving, Outcome, as_it_is, unchanged
@@ -94,7 +94,7 @@ def follow_plan(work: Work, mesh: Complex) -> str:
     str               why stage 1 stopped, and what followed
     """
     options, memory, log = work.options, work.memory, work.log
-    share = BEFORE_INSERTION if work.within.tail == math.inf else FIRST
+    share = BEFORE_INSERTION if work.within.tail == math.inf else BEFORE_TAIL
     early = replace(work, options=until_insertion(options, share)) if options.insert else work
     mesh, reason = in_cycles(mesh, early)
     if options.finish:
