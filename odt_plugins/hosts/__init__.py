@@ -44,7 +44,7 @@ def register(name: str) -> None:
     InvalidOptionError      there is nothing for a toolkit of that name
     MissingDependencyError  the toolkit is not installed
     """
-    if name not in (*HOSTS,):
+    if not isinstance(name, str) or name not in HOSTS:
         msg = f"got the toolkit {name!r}; expected one of {sorted(HOSTS)}"
         raise InvalidOptionError(msg)
     require(f"register({name!r})", name, name)
