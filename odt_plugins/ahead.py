@@ -128,7 +128,7 @@ def run(name: str) -> None:
     import numpy as np
 
     from odt_plugins.api import optimize
-    from odt_plugins.conserve import After, conserved
+    from odt_plugins.carrying.conserve import After, conserved
     from odt_plugins.engine.cells.extremes import FREELY, Bounds, Extremes
     from odt_plugins.engine.cells.geometry import boundary_vertices
     from odt_plugins.engine.finish.repair2d import within_bounds

@@ -12,6 +12,8 @@ import numpy as np
 from odt_plugins.adapters.files import check_output, expect_same_kind, read_file, write_file
 from odt_plugins.adapters.host import flat_points, words_of
 from odt_plugins.adapters.registry import find_adapter
+from odt_plugins.carrying.roundtrip import run_engine
+from odt_plugins.carrying.untangling import Wanted
 from odt_plugins.errors import (
     InvalidOptionError,
     UnsupportedMeshError,
@@ -24,8 +26,6 @@ from odt_plugins.mesh.numbers import even_rows
 from odt_plugins.mesh.simplex import mesh_arrays, turned_alike
 from odt_plugins.multiblock import has_parts, run_parts
 from odt_plugins.options import OF_UNTANGLING, OPTIONS, SMOOTHING, STAYS, expect_known, make_options
-from odt_plugins.roundtrip import run_engine
-from odt_plugins.untangling import Wanted
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

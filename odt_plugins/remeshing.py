@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 
+from odt_plugins.carrying.roundtrip import run_engine
+from odt_plugins.carrying.untangling import Wanted
 from odt_plugins.errors import InvalidOptionError, expect, plain_values
 from odt_plugins.keywords import OptionKeywords, with_option_signature
 from odt_plugins.mesh.bodies import of_bodies
@@ -17,8 +19,6 @@ from odt_plugins.mesh.numbers import even_rows
 from odt_plugins.mesh.simplex import SimplexMesh, freeze
 from odt_plugins.multiblock import has_parts, run_parts
 from odt_plugins.options import NOT_SIZED, OPTIONS, STAYS_SIZED, Options, expect_known, make_options
-from odt_plugins.roundtrip import run_engine
-from odt_plugins.untangling import Wanted
 
 if TYPE_CHECKING:
     from odt_plugins.engine.remesh.wish import Wish
@@ -229,7 +229,7 @@ def _wish(size: Any, wishes: dict[str, Any], *, metric: bool) -> Wish:
 
 
 def _run(mesh: Any, size: Any, wishes: dict[str, Any], options: Options) -> tuple[Any, ...]:
-    """What :func:`odt_plugins.roundtrip.run_engine` gives."""
+    """What :func:`odt_plugins.carrying.roundtrip.run_engine` gives."""
     wish = _wish(size, wishes, metric=options.metric is not None)
     name = size if wish.given and isinstance(size, str) else ""
     if wishes.get("adapt"):

@@ -23,7 +23,7 @@ PARTS="tests/paper/test_paper_energy.py tests/paper/test_paper_global.py
        tests/paper/test_paper_gradient.py tests/paper/test_paper_smoothing.py"
 
 LOWEST="tests/adapters/test_adapters_files.py tests/cli/test_cli.py tests/mesh tests/promise
-        tests/report tests/test_reference.py tests/test_transfer.py"
+        tests/report tests/carrying/test_reference.py tests/carrying/test_transfer.py"
 
 newer() { OPENBLAS_CORETYPE=Haswell nice -n 19 python "$@"; }
 

@@ -21,7 +21,7 @@ from scipy.spatial import Delaunay
 
 import odt_plugins
 from odt_plugins import api, roundtrip
-from odt_plugins.carry import in_input_order
+from odt_plugins.carrying.sources import in_input_order
 from odt_plugins.engine.odt import rounds
 from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.run import plan

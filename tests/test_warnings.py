@@ -204,7 +204,7 @@ def levels_of_refinement(place, monkeypatch):
 
 CASES = {
     "adapters/netgen_mesh.py": (levels_of_refinement,),
-    "roundtrip.py": (soup,),
+    "carrying/roundtrip.py": (soup,),
     "tetwild.py": (elsewhere,),
     "adapters/files.py": (dropped, unknown),
     "adapters/formats/medit_solution.py": (of_another_mesh,),

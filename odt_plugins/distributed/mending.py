@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from odt_plugins.carrying.untangling import Wanted, untangle_mesh
 from odt_plugins.distributed.apply import Apply
 from odt_plugins.distributed.piecework import Numbers, Taken, expect_apart, measured, numbered
 from odt_plugins.distributed.store import join, load
@@ -16,7 +17,6 @@ from odt_plugins.errors import TangledMeshError, counted
 from odt_plugins.mesh.arrays import FloatArray
 from odt_plugins.mesh.simplex import SimplexMesh, cell_signs, compact_labels
 from odt_plugins.options import Options
-from odt_plugins.untangling import Wanted, untangle_mesh
 
 GROWTH = 3
 """How often the pieces around are taken as well."""

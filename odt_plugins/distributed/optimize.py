@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from odt_plugins.carrying.roundtrip import optimized
 from odt_plugins.distributed.apply import told
 from odt_plugins.distributed.glue import Map, Task, Traffic, Whole, labels, near_cuts, one_round
 from odt_plugins.distributed.local import executor
@@ -33,7 +34,6 @@ from odt_plugins.mesh.seen import NO_METRIC, as_seen
 from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.options import Options
 from odt_plugins.progress import part, silent
-from odt_plugins.roundtrip import optimized
 
 LEAST_CELLS = 40_000
 """Meshes are cut into no smaller blocks: half of such a block would be done twice."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from odt_plugins.adapters.fields import field_names
 from odt_plugins.adapters.host import interpolated
 from odt_plugins.adapters.regions import Spread
-from odt_plugins.carry import cell_source, surrounding_cells
+from odt_plugins.carrying.sources import cell_source, surrounding_cells
 from odt_plugins.distributed.block import Block, improve
 from odt_plugins.distributed.figures import Figures, measure_part
 from odt_plugins.distributed.partition import RINGS, grown, seams

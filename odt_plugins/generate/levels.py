@@ -18,7 +18,7 @@ from odt_plugins.adapters.host import HostMesh, NewVertices, Result
 from odt_plugins.adapters.regions import are_names
 from odt_plugins.adapters.registry import find_adapter
 from odt_plugins.api import optimize_with_report
-from odt_plugins.carry import surrounding_cells
+from odt_plugins.carrying.sources import surrounding_cells
 from odt_plugins.engine.cells.geometry import boundary_facets, interface_vertices
 from odt_plugins.engine.ground.envelope import distances
 from odt_plugins.errors import InvalidOptionError, ODTWarning, expect, plain_values, warn

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from odt_plugins.carrying.untangling import Tangle, worse_than_valid
 from odt_plugins.errors import UnsupportedMeshError
 from odt_plugins.figures import (
     QualitySummary,
@@ -32,7 +33,6 @@ from odt_plugins.report.binding import BindingCell, Freeing, binding_cells
 from odt_plugins.report.machine import installed_version
 from odt_plugins.report.story import story
 from odt_plugins.table import table_html, table_lines, text_html
-from odt_plugins.untangling import Tangle, worse_than_valid
 
 if TYPE_CHECKING:
     from odt_plugins.engine.run.outcome import Outcome

@@ -12,7 +12,7 @@ from quadratic_meshes import churned
 
 import odt_plugins
 from odt_plugins.adapters import apart
-from odt_plugins.carry import cell_source, in_input_order
+from odt_plugins.carrying.sources import cell_source, in_input_order
 from odt_plugins.engine.run import plan
 from odt_plugins.mesh.simplex import simplex_mesh
 

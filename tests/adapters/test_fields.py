@@ -14,7 +14,7 @@ from scipy.spatial import Delaunay
 
 import odt_plugins
 from odt_plugins.adapters.fields import field_names
-from odt_plugins.carry import surrounding_cells
+from odt_plugins.carrying.sources import surrounding_cells
 from odt_plugins.mesh.simplex import simplex_mesh
 
 SLOPE = np.array([0.7, -1.3, 2.1])

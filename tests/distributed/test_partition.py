@@ -16,6 +16,7 @@ import tet_meshes
 from policies import set_policy
 
 import odt_plugins
+from odt_plugins.carrying.roundtrip import optimized
 from odt_plugins.compare.start import ball, plate, reordered, stored
 from odt_plugins.distributed import optimize as blocks_module
 from odt_plugins.distributed.block import Block, Improved, improve
@@ -40,7 +41,6 @@ from odt_plugins.mesh.simplex import SimplexMesh, simplex_mesh
 from odt_plugins.mesh.surface import surface_mesh
 from odt_plugins.options import Options
 from odt_plugins.promise.volume import broken_promises
-from odt_plugins.roundtrip import optimized
 
 
 @pytest.fixture

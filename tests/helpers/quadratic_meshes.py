@@ -9,8 +9,8 @@ import contract
 import meshio
 import numpy as np
 
-from odt_plugins import roundtrip
-from odt_plugins.curved import Kept
+from odt_plugins.carrying import roundtrip
+from odt_plugins.carrying.curved import Kept
 from odt_plugins.engine.run import plan
 
 EDGES = {2: [(0, 1), (1, 2), (2, 0)], 3: [(0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)]}

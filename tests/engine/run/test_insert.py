@@ -20,7 +20,7 @@ from promises import assert_promise, facet_set, measure, mesh_of
 from scipy.spatial import cKDTree
 
 import odt_plugins
-from odt_plugins.carry import surrounding_cells
+from odt_plugins.carrying.sources import surrounding_cells
 from odt_plugins.cli.main import cli
 from odt_plugins.engine.finish import resampling
 from odt_plugins.engine.odt.rounds import Log

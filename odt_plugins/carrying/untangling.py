@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.carry import in_input_order
+from odt_plugins.carrying.sources import in_input_order
 from odt_plugins.errors import FacetPair, InvalidMeshError, TangledMeshError, counted, place_within
 from odt_plugins.figures import QualitySummary, summarize
 from odt_plugins.mesh.arrays import FloatArray, IntArray, LongArray

@@ -35,12 +35,17 @@ from odt_plugins.adapters.kept import (
 from odt_plugins.adapters.regions import AUTO, CHARTS, are_names
 from odt_plugins.adapters.registry import find_adapter
 from odt_plugins.adapters.wedges import glued, with_seams, without_seams
-from odt_plugins.aside import note, of_cells, of_optimised, seen, with_others, without_others
-from odt_plugins.bending import leaving_bent, middles, note_on_flatter, with_bent
-from odt_plugins.carry import cell_origin, in_input_order, surrounding_cells
-from odt_plugins.curved import Kept, keep_curved, untangled_around
-from odt_plugins.errors import InvalidMeshError, TangledMeshError, warn
-from odt_plugins.following import (
+from odt_plugins.carrying.aside import (
+    note,
+    of_cells,
+    of_optimised,
+    seen,
+    with_others,
+    without_others,
+)
+from odt_plugins.carrying.bending import leaving_bent, middles, note_on_flatter, with_bent
+from odt_plugins.carrying.curved import Kept, keep_curved, untangled_around
+from odt_plugins.carrying.following import (
     CONSERVE,
     Prepared,
     around,
@@ -52,6 +57,13 @@ from odt_plugins.following import (
     new_faces,
     new_vertices,
 )
+from odt_plugins.carrying.onto import edges_onto, in_space, near_geometry, on_geometry
+from odt_plugins.carrying.reference import within_reference
+from odt_plugins.carrying.sources import cell_origin, in_input_order, surrounding_cells
+from odt_plugins.carrying.textures import feet_of
+from odt_plugins.carrying.transfer import transfer_of
+from odt_plugins.carrying.untangling import Tangle, Wanted, rest_places, untangle_mesh
+from odt_plugins.errors import InvalidMeshError, TangledMeshError, warn
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.bodies import of_bodies
 from odt_plugins.mesh.layers import keep_layers
@@ -69,13 +81,8 @@ from odt_plugins.mesh.surface import surface_mesh
 from odt_plugins.mesh.tangled import tangled_mesh
 from odt_plugins.metric.looks import ADVICE, MOST, looks_anisotropic
 from odt_plugins.metric.through import with_metric
-from odt_plugins.onto import edges_onto, in_space, near_geometry, on_geometry
 from odt_plugins.options import Options
 from odt_plugins.progress import kernels_shown, part, telling
-from odt_plugins.reference import within_reference
-from odt_plugins.textures import feet_of
-from odt_plugins.transfer import transfer_of
-from odt_plugins.untangling import Tangle, Wanted, rest_places, untangle_mesh
 
 if TYPE_CHECKING:
     from odt_plugins.engine.run.outcome import Leaving, Outcome

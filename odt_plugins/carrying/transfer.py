@@ -11,8 +11,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from odt_plugins.adapters.colours import varies
 from odt_plugins.adapters.host import HostMesh, NewVertices
+from odt_plugins.carrying.following import (
+    CONSERVE,
+    Prepared,
+    around,
+    follow,
+    interpolates,
+    new_vertices,
+)
 from odt_plugins.errors import InvalidOptionError, UnsupportedMeshError, expect, plain_values
-from odt_plugins.following import CONSERVE, Prepared, around, follow, interpolates, new_vertices
 from odt_plugins.options import Options
 
 if TYPE_CHECKING:

@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 from odt_plugins.adapters.fields import numbers
 from odt_plugins.adapters.host import Adapter, HostMesh, NewFaces, NewVertices
 from odt_plugins.adapters.point_sets import depths
-from odt_plugins.carry import in_order_of, surrounding_cells
-from odt_plugins.conserve import After, conserved
+from odt_plugins.carrying.conserve import After, conserved
+from odt_plugins.carrying.integrals import changed_integrals, of_points
+from odt_plugins.carrying.sources import in_order_of, surrounding_cells
+from odt_plugins.carrying.untangling import Tangle
 from odt_plugins.errors import TangledMeshError, UnsupportedMeshError
-from odt_plugins.integrals import changed_integrals, of_points
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.mesh.faces import labels_at, turns_of
 from odt_plugins.mesh.numbering import new_numbers
@@ -24,7 +25,6 @@ from odt_plugins.mesh.plane import PlaneFrame
 from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.options import Options
 from odt_plugins.promise.locked_facets import locked_facets
-from odt_plugins.untangling import Tangle
 
 if TYPE_CHECKING:
     from odt_plugins.engine.run.outcome import Outcome

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from odt_plugins.adapters.elevated import BentEdges
 from odt_plugins.adapters.host import Geometry, HostMesh
+from odt_plugins.carrying.following import Prepared
 from odt_plugins.errors import counted
-from odt_plugins.following import Prepared
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray, LongArray
 from odt_plugins.mesh.faces import Faces, labels_at
 from odt_plugins.mesh.facets import row_keys

@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.carry import nearest_of, surrounding_cells
+from odt_plugins.carrying.sources import nearest_of, surrounding_cells
 from odt_plugins.figures import volumes
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.mesh.simplex import SimplexMesh, compact_labels, corner_mean

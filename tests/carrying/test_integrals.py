@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import odt_plugins
-from odt_plugins.integrals import changed_integrals
+from odt_plugins.carrying.integrals import changed_integrals
 
 KINDS = {2: "triangle", 3: "tetra"}
 

@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 
 from odt_plugins.adapters.higher_order import HigherOrder, with_mid_nodes
 from odt_plugins.adapters.host import HostMesh, Result
+from odt_plugins.carrying.untangling import Tangle
 from odt_plugins.engine.run.outcome import Outcome, unchanged
 from odt_plugins.errors import TangledMeshError
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.mesh.bernstein import jacobian_bounds
 from odt_plugins.mesh.simplex import SimplexMesh, freeze, reverse
 from odt_plugins.promise.volume import held_vertices
-from odt_plugins.untangling import Tangle
 
 STRAIGHT = 1e-12
 """Nodes that are off their place by less of the extent of a cell leave the cell straight."""

@@ -15,7 +15,7 @@ import tet_meshes
 from scipy.spatial import Delaunay
 
 import odt_plugins
-from odt_plugins.conserve import After, conserved
+from odt_plugins.carrying.conserve import After, conserved
 from odt_plugins.errors import InvalidOptionError, TangledMeshError, UnsupportedMeshError
 from odt_plugins.mesh.simplex import simplex_mesh
 

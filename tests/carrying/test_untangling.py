@@ -23,7 +23,7 @@ from odt_plugins.mesh.simplex import simplex_mesh
 from odt_plugins.mesh.tangled import odd_cells, tangled_mesh
 from odt_plugins.promise.volume import broken_promises
 
-AIRFOIL = Path(__file__).parents[1] / "examples" / "meshes" / "airfoil.vtu"
+AIRFOIL = Path(__file__).parents[2] / "examples" / "meshes" / "airfoil.vtu"
 
 
 def knotted(dim):

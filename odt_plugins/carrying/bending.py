@@ -17,15 +17,15 @@ from numpy.typing import NDArray
 
 from odt_plugins.adapters.elevated import BentEdges, curved_edges
 from odt_plugins.adapters.host import HostMesh
+from odt_plugins.carrying.following import Prepared
+from odt_plugins.carrying.onto import LARGEST, came_or_moved
 from odt_plugins.errors import counted
-from odt_plugins.following import Prepared
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.faces import labels_at
 from odt_plugins.mesh.facets import row_keys
 from odt_plugins.mesh.plane import PlaneFrame
 from odt_plugins.mesh.simplex import SimplexMesh, Smooth, diagonal, freeze
 from odt_plugins.mesh.surface import surface_edges
-from odt_plugins.onto import LARGEST, came_or_moved
 from odt_plugins.options import Options
 from odt_plugins.promise.locked_facets import locked_facets
 
