@@ -20,7 +20,8 @@ import tet_meshes as tm
 from scipy.spatial import Delaunay
 
 import odt_plugins
-from odt_plugins import api, roundtrip
+from odt_plugins import api
+from odt_plugins.carrying import roundtrip
 from odt_plugins.carrying.sources import in_input_order
 from odt_plugins.engine.odt import rounds
 from odt_plugins.engine.policy import POLICY

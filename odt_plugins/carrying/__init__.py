@@ -10,4 +10,7 @@ Where they come from is in ``sources``; ``conserve`` gives them the integrals th
 ``integrals`` tells by how much these changed; ``textures`` finds triangles in those of the input,
 ``bending`` and ``onto`` put nodes on curved facets and on the geometry of a model; ``transfer``
 does the same for arrays of the caller's own.
+
+Source of integrals: P. E. Farrell et al., Conservative interpolation between unstructured meshes
+via supermesh construction, CMAME 198 (2009) 2632-2642.
 """
