@@ -7,8 +7,10 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from odt_plugins.figures import QualitySummary, summarize
+from odt_plugins.figures import CellFigures, QualitySummary, cell_figures, summarize
+from odt_plugins.mesh.seen import as_seen
 from odt_plugins.options import Options
 from odt_plugins.report.report import Report, described, versions
 
@@ -36,17 +38,7 @@ def bare_report(
 
 def report_of_parts(parts: Sequence[Report]) -> Report:
     """Make one report of those of the parts of an object."""
-    meshes = []
-    for when in (0, 1):
-        points, cells, first = [], [], 0
-        for part in parts:
-            x, rows = part.meshes[when]
-            # Parts in a plane have two coordinates beside those in space.
-            points.append(np.pad(x, [(0, 0), (0, 3 - x.shape[1])]))
-            cells.append(rows + first)
-            first += len(x)
-        meshes.append((np.concatenate(points), np.concatenate(cells)))
-    before, after = (summarize(*mesh) for mesh in meshes)
+    (before, start), (after, end) = (_whole(parts, when) for when in (0, 1))
     told: dict[str, Any] = {
         name: {key: sum(getattr(part, name).get(key, 0) for part in parts)
                for part in parts for key in getattr(part, name)} for name in ("times", "counts")}
@@ -58,9 +50,28 @@ def report_of_parts(parts: Sequence[Report]) -> Report:
     histograms = [tuple(map(sum, zip(*(getattr(part, name) for part in parts), strict=True)))
                   for name in ("histogram_before", "histogram_after")]
     return replace(
-        parts[0], before=replace(before, turned=sum(part.before.turned for part in parts)),
-        after=after, histogram_before=histograms[0], histogram_after=histograms[1], energy=(),
+        parts[0], name="", before=before, after=after, histogram_before=histograms[0],
+        histogram_after=histograms[1], energy=(),
         stop_reason="", fallback="; ".join(fallbacks) or None, binding=(), slid=None, surface=None,
         cell_origin=None, notes=(), untangled=None, curved=None, integrals={},
-        point_integrals={}, vetoed=None, carrying=None, plane=None, meshes=tuple(meshes),
-        parts=tuple(parts), **told)
+        point_integrals={}, vetoed=None, carrying=None, plane=None,
+        meshes=(start, end), metrics=(), parts=tuple(parts), **told)
+
+
+def _whole(
+    parts: Sequence[Report], when: int
+) -> tuple[QualitySummary, tuple[NDArray[Any], NDArray[Any]]]:
+    """Figures, and points and cells, of all parts together, before (0) or after (1)."""
+    meshes = [part.meshes[when] for part in parts]
+    own = [(part.before, part.after)[when] for part in parts]
+    # Parts in a plane have two coordinates beside those in space.
+    wide = max(points.shape[1] for part in parts for points, _ in part.meshes)
+    points = np.concatenate([np.pad(x, [(0, 0), (0, wide - x.shape[1])]) for x, _ in meshes])
+    first = np.cumsum([0, *(len(x) for x, _ in meshes)])
+    cells = np.concatenate([rows + at for (_, rows), at in zip(meshes, first, strict=False)])
+    figures = [cell_figures(*as_seen(*mesh, part.metrics[when]))
+               for mesh, part in zip(meshes, parts, strict=True)]
+    found = summarize(points, cells, CellFigures(*map(np.concatenate, zip(*figures, strict=True))))
+    return replace(found, n_points=sum(one.n_points for one in own),
+                   volume=sum(one.volume for one in own),
+                   turned=sum(one.turned for one in own)), (points, cells)

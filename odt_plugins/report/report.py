@@ -42,6 +42,10 @@ if TYPE_CHECKING:
 BINS = np.linspace(0.0, 1.0, 51)
 """Bins of the quality histograms, 0:0.02:1 as in Figs 6 and 10 of the paper."""
 
+OF_MESHES = ("cell_origin", "meshes", "metrics", "carrying", "plane")
+"""Fields of a report that are of the meshes and not in :meth:`Report.to_dict`."""
+
+
 @dataclass(frozen=True)
 class Report:
     """What one run did to a mesh.
@@ -107,6 +111,8 @@ class Report:
                                             "mean_quality" and "min_quality"
     meshes : two of (points, cells)         before and after, for :meth:`worth`; not in
                                             :meth:`to_dict`
+    metrics : two of (n, k) float64         in which the figures of both were measured, without rows
+                                            if in none; not in :meth:`to_dict`
     carrying : callable or None             what carries arrays, for :meth:`transfer`; not in
                                             :meth:`to_dict`
     plane : PlaneFrame or None              plane of triangles in space, in whose coordinates
@@ -147,6 +153,7 @@ class Report:
     vetoed: Mapping[str, Any] | None = None
     meshes: tuple[tuple[NDArray[Any], NDArray[Any]], ...] = dataclasses.field(
         default=(), repr=False, compare=False)
+    metrics: tuple[NDArray[Any], ...] = dataclasses.field(default=(), repr=False, compare=False)
     carrying: Any = dataclasses.field(default=None, repr=False, compare=False)
     plane: Any = dataclasses.field(default=None, repr=False, compare=False)
     parts: tuple[Report, ...] = ()
@@ -176,7 +183,7 @@ class Report:
     def to_dict(self) -> dict[str, Any]:
         """Give all but what is of the meshes as values that JSON knows; None if not finite."""
         data: dict[str, Any] = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)
-                                if f.name not in ("cell_origin", "meshes", "carrying", "plane")}
+                                if f.name not in OF_MESHES}
         data |= {"before": self.before.to_dict(), "after": self.after.to_dict(),
                  "binding": [dataclasses.asdict(cell) for cell in self.binding],
                  "movable_share": self.movable_share,
@@ -360,6 +367,7 @@ def make_report(
         untangled=untangled,
         vetoed=outcome.vetoed,
         meshes=((before.points, before.cells), (outcome.points, outcome.cells)),
+        metrics=(before.metric, outcome.metric),
         **told,
     )
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import contract
 import numpy as np
 import pytest
+import quadratic_meshes
 import surface_meshes as sm
+from scipy.spatial import Delaunay
 
 import odt_plugins
 from odt_plugins.errors import InvalidMeshError, InvalidOptionError, UnsupportedMeshError
@@ -205,3 +208,34 @@ def test_a_name_that_a_later_part_lacks_is_told_before_the_work(call, named, mon
         monkeypatch.setattr(f"{room}.run_engine", fails)
     with pytest.raises(InvalidOptionError, match=f"'part 1': .*{next(iter(named))}='h'"):
         getattr(odt_plugins, call)(scene, **named)
+
+
+def test_figures_of_the_whole_are_those_of_its_parts_together():
+    pyvista = pytest.importorskip("pyvista")
+    blocks = pyvista.MultiBlock()
+    for name, seed in (("left", 0), ("right", 1)):
+        p = np.random.default_rng(seed).random((200, 2)) * (4.0, 1.0) + (5.0 * seed, 0.0)
+        cells = Delaunay(p).simplices
+        blocks[name] = pyvista.PolyData.from_regular_faces(np.pad(p, ((0, 0), (0, 1))), cells)
+        blocks[name].point_data["M"] = np.tile([1.0, 0.0, 16.0], (len(p), 1))
+    _, whole = odt_plugins.optimize_with_report(blocks, metric="M", keep=())
+    for figures, own in ((whole.before, [part.before for part in whole.parts]),
+                         (whole.after, [part.after for part in whole.parts])):
+        cells = [one.n_cells for one in own]
+        assert figures.mean_quality == pytest.approx(
+            np.average([one.mean_quality for one in own], weights=cells))
+        assert figures.min_quality == min(one.min_quality for one in own)
+        assert figures.max_angle == max(one.max_angle for one in own)
+        assert figures.area == pytest.approx(sum(one.area for one in own))
+    assert whole.name == ""
+    assert whole.worth().after.unknowns == sum(part.worth().after.unknowns for part in whole.parts)
+
+
+def test_vertices_of_the_whole_are_all_nodes_of_quadratic_parts():
+    pyvista = pytest.importorskip("pyvista")
+    points, cells, _ = contract.grid(3, 4)
+    wide, rows = quadratic_meshes.widened(points, cells)
+    part = pyvista.UnstructuredGrid({quadratic_meshes.VTK[3]: rows}, wide)
+    out, whole = odt_plugins.optimize_with_report(pyvista.MultiBlock([part, part.copy()]))
+    assert whole.after.n_points == sum(one.after.n_points for one in whole.parts)
+    assert whole.after.n_points == sum(block.n_points for block in out)

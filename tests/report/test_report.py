@@ -119,7 +119,7 @@ def test_a_fallback_is_said() -> None:
 def test_json_is_strict_and_complete(report: Report) -> None:
     data = json.loads(report.to_json(), parse_constant=pytest.fail)
     assert {f.name for f in fields(Report)} - set(data) == {
-        "cell_origin", "meshes", "carrying", "plane"}
+        "cell_origin", "meshes", "metrics", "carrying", "plane"}
     assert data == report.to_dict()
     assert data["movable_share"] == 0.2
     assert data["before"]["mean_quality"] == report.before.mean_quality
