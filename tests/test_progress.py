@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
+from collections import Counter
 
 import IPython.display
 import numpy as np
@@ -85,6 +86,17 @@ def test_one_share_grows_from_0_to_1_over_all_stages(name, tmp_path, monkeypatch
     assert name == "nothing to do" or any(0.0 < share < 1.0 for share in shares)
     if name in ("TetWild", "levels"):
         assert len({share for stage, share in seen if stage == "TetWild"}) > 3
+
+
+@pytest.mark.parametrize("start", [tets(), surface_meshes.sphere(2, 0.2)])
+def test_attempts_at_a_number_of_cells_share_the_bar(start):
+    seen = []
+    odt_plugins.remesh(start, cells=len(start[1]) // 3, envelope=1e-3,
+                       progress=lambda stage, share: seen.append((stage, share)))
+    shares = [share for stage, share in seen[:-1] if stage == "resizing"]
+    assert len(shares) > 6
+    assert max(Counter(shares).values()) <= 2
+    assert max(shares) < 1.0
 
 
 def test_tetwild_has_most_of_the_bar_and_odt_the_rest(monkeypatch):

@@ -31,3 +31,27 @@ def in_turn(options: Options, turn: int) -> Options:
         return options
     rest = (1.0 - FIRST) ** turn
     return replace(options, progress=part(report, 1.0 - rest, 1.0 - rest + FIRST * rest))
+
+
+def in_attempts(options: Options, first: str) -> Options:
+    """The same options, with a progress that grows over attempts: each has most of the rest.
+
+    Parameters
+    ----------
+    options : Options
+    first : str          stage with which an attempt begins: it does where that is further back
+    """
+    report = options.progress
+    if report is None:
+        return options
+    low, last = 0.0, 0.0
+
+    def tell(stage: str, share: float) -> None:
+        nonlocal low, last
+        if stage == first and share < last:
+            low += FIRST * (1.0 - low) * last
+            last = 0.0
+        last = max(last, share)
+        report(stage, low + FIRST * (1.0 - low) * share)
+
+    return replace(options, progress=tell)

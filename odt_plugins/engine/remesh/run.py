@@ -16,6 +16,7 @@ from odt_plugins.engine.odt.density import NodalDensity, make_density
 from odt_plugins.engine.odt.rounds import Log
 from odt_plugins.engine.record.figures import figures
 from odt_plugins.engine.record.memory import State
+from odt_plugins.engine.record.progress import in_attempts
 from odt_plugins.engine.remesh.chords import sizes_as_wished
 from odt_plugins.engine.remesh.distance import (
     Broken,
@@ -168,6 +169,7 @@ def remesh(mesh: SimplexMesh, options: Options, leaving: Leaving, wish: Wish) ->
         options, density="keep", smoothing=replace(options.smoothing, exponent=None), insert=False)
     if mesh.frozen.all() or not len(mesh.cells):
         return unchanged(mesh, "no cell may change")
+    options = in_attempts(options, "resizing")
 
     def tries(tried: Sizes, course: Course) -> tuple[Outcome, Attempt | None]:
         if mesh.dim == 2:
