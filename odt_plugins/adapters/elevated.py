@@ -74,7 +74,8 @@ def linear(host: HostMesh) -> HostMesh:
     UnsupportedMeshError    cells that are not quadratic, or a toolkit that does not take them back
     """
     if host.nodes is None or host.shape is None or int(host.shape[0, 0]) != 2 or not host.whole:
-        msg = "got cells of higher order; expected linear ones, whose vertices come and go"
+        msg = ("got cells of higher order; expected linear ones, or quadratic ones with a node on "
+               "every edge, whose vertices come and go")
         raise UnsupportedMeshError(msg)
     return replace(host, higher_order=False, nodes=None, shape=None, settle=None)
 
