@@ -20,6 +20,7 @@ from odt_plugins.carrying.following import (
     new_vertices,
 )
 from odt_plugins.errors import InvalidOptionError, UnsupportedMeshError, expect, plain_values
+from odt_plugins.mesh.numbers import even_rows
 from odt_plugins.options import Options
 
 if TYPE_CHECKING:
@@ -53,7 +54,7 @@ class Transfer:
     def __call__(self, values: ArrayLike, at: At | None = None) -> NDArray[Any]:
         """Values for the result; see :meth:`odt_plugins.Report.transfer`."""
         expect(at in (None, "points", "cells"), "at", at, "'points' or 'cells'")
-        array = np.asarray(plain_values("values", values))
+        array = even_rows("values", plain_values("values", values))
         host = self.work.host
         cells = len(host.cells) if host.ids is None else host.total
         counts = {"points": len(host.points), "cells": cells}

@@ -120,6 +120,8 @@ def test_what_fits_nothing_or_two_things_is_refused():
     for values in ([1.0, 2.0, 3.0], 3.0):
         with pytest.raises(InvalidOptionError, match=r"one for each of the 5 points, 4 cells of"):
             report.transfer(values)
+    with pytest.raises(InvalidOptionError, match="got values with rows of several lengths"):
+        report.transfer([[1.0], [1.0, 2.0]])
     with pytest.raises(InvalidOptionError, match="at='cells'; expected"):
         report.transfer(np.ones(5), at="cells")
     with pytest.raises(InvalidOptionError, match="at='vertices'; expected 'points' or 'cells'"):
