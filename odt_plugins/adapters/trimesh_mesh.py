@@ -140,6 +140,14 @@ def _beside_uv(mesh: Any) -> dict[str, Any]:
 
 def _of_length(attributes: Any, count: int) -> dict[str, NDArray[Any]]:
     """Attributes that have one entry for each of the vertices or faces, of which none is masked."""
-    arrays = {name: np.asarray(plain_values(f"attribute {name!r}", values, InvalidMeshError))
+    arrays = {name: _as_array(plain_values(f"attribute {name!r}", values, InvalidMeshError))
               for name, values in attributes.items()}
     return {name: values for name, values in arrays.items() if values.ndim and len(values) == count}
+
+
+def _as_array(values: Any) -> NDArray[Any]:
+    """An attribute as an array; lists of several lengths are its entries as they are."""
+    try:
+        return np.asarray(values)
+    except ValueError:
+        return np.fromiter(values, dtype=object, count=len(values))

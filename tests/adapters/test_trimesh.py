@@ -114,3 +114,14 @@ def test_colours_beside_the_texture_coordinates_survive(verb):
     same.visual.vertex_attributes["color"] = shade
     stays = odt_plugins.optimize(same, selection=[])
     assert np.array_equal(stays.visual.vertex_attributes["color"], shade)
+
+
+def test_lists_of_several_lengths_stay_with_their_vertices_and_faces():
+    mesh = ball()
+    mesh.vertex_attributes["joints"] = [list(range(i % 3)) for i in range(len(mesh.vertices))]
+    mesh.face_attributes["tags"] = [["a"] * (i % 2) for i in range(len(mesh.faces))]
+    out, report = odt_plugins.remesh_with_report(mesh, scale=0.8)
+    assert len(out.vertices) > len(mesh.vertices)
+    tags = [mesh.face_attributes["tags"][i] for i in report.cell_origin]
+    assert list(out.face_attributes["tags"]) == tags
+    assert {len(joints) for joints in out.vertex_attributes["joints"]} == {0, 1, 2}
