@@ -99,6 +99,13 @@ class WorkerError(ODTError, RuntimeError):
     """A cluster cannot be reached, or its workers were lost while they worked."""
 
 
+def reworded(error: BaseException, text: str, kind: type[Any]) -> Any:
+    """Give an error another text, or another kind, with all that it knows, such as `cells`."""
+    said: Any = kind.__new__(kind, text)
+    said.__dict__.update(error.__dict__)
+    return said
+
+
 class ODTWarning(UserWarning):
     """Root of every warning issued by odt_plugins."""
 

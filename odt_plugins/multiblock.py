@@ -15,7 +15,7 @@ from odt_plugins.adapters import open3d_model, pyvista_blocks, trimesh_scene
 from odt_plugins.adapters.fields import expect_arrays
 from odt_plugins.adapters.regions import CHARTS, are_names
 from odt_plugins.adapters.registry import find_adapter
-from odt_plugins.errors import InvalidOptionError, ODTError, counted
+from odt_plugins.errors import InvalidOptionError, ODTError, counted, reworded
 from odt_plugins.mesh.numbers import vertex_mask
 from odt_plugins.progress import part, telling
 
@@ -127,7 +127,7 @@ def _named(kind: str, name: str, call: Callable[..., Any], *given: Any, **option
         return call(*given, **options)
     except ODTError as exc:
         msg = f"{kind} {name!r}: {exc}"
-        raise type(exc)(msg) from exc
+        raise reworded(exc, msg, type(exc)) from exc
 
 
 def _shared(shown: Sequence[_Shown]) -> tuple[set[int], dict[int, NDArray[np.bool_]]]:

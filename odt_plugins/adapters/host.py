@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from odt_plugins.adapters.colours import in_kind, varies
 from odt_plugins.adapters.regions import are_whole
-from odt_plugins.errors import InvalidOptionError, ODTError
+from odt_plugins.errors import InvalidOptionError, ODTError, reworded
 from odt_plugins.mesh.arrays import FloatArray
 from odt_plugins.mesh.facets import row_keys
 from odt_plugins.mesh.plane import PlaneFrame, places_in_space, plane_frame
@@ -456,9 +456,7 @@ def words_of(host: HostMesh) -> Iterator[None]:
         text = host.words(str(exc))
         if text == str(exc):
             raise
-        said = type(exc)(text)
-        said.__dict__.update(exc.__dict__)
-        raise said from exc
+        raise reworded(exc, text, type(exc)) from exc
 
 
 def flat_points(host: HostMesh) -> tuple[FloatArray, PlaneFrame | None]:

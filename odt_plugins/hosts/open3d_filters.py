@@ -14,7 +14,7 @@ from typing import Any, TypeVar, Unpack, cast
 from odt_plugins.adapters import open3d_mesh
 from odt_plugins.adapters.host import is_instance
 from odt_plugins.api import optimize as optimize_mesh
-from odt_plugins.errors import InvalidOptionError, ODTError, UnsupportedMeshError
+from odt_plugins.errors import InvalidOptionError, ODTError, UnsupportedMeshError, reworded
 from odt_plugins.keywords import OptionKeywords, with_option_signature
 from odt_plugins.options import OPTIONS, SMOOTHING, hint_for, make_options, worded
 from odt_plugins.remeshing import remesh
@@ -165,7 +165,7 @@ def _smooth(
         out = optimize_mesh(mesh, **{**options, **own, "smoothing": {**values, **lab}})
     except ODTError as exc:
         words = re.sub(r"smoothing=\{'rounds': ([^{}]*)\}", r"number_of_iterations=\1", str(exc))
-        raise type(exc)(words) from exc
+        raise reworded(exc, words, type(exc)) from exc
     if name == "Vertex":
         _restore_normals(out, mesh)
     return out

@@ -13,7 +13,7 @@ from xml.etree import ElementTree
 
 from odt_plugins.adapters.pymeshlab_copy import muted
 from odt_plugins.adapters.pymeshlab_set import restore_script, saved_script
-from odt_plugins.errors import ODTError, UnsupportedMeshError
+from odt_plugins.errors import ODTError, UnsupportedMeshError, reworded
 from odt_plugins.hosts.filter_table import FILTERS, ChoiceError, Filter, ParameterError
 from odt_plugins.hosts.pymeshlab_work import WORK, Effect, diagonal
 
@@ -114,7 +114,7 @@ def in_words(exc: ODTError, name: str) -> Exception:
             text = re.sub(pattern, word, text)
         if not text.startswith(name):
             text = f"Failed to apply filter: {name}\n{text}"
-    error: Exception = type(type(exc).__name__, (type(exc), host), {})(text)
+    error: Exception = reworded(exc, text, type(type(exc).__name__, (type(exc), host), {}))
     return error
 
 

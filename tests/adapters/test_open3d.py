@@ -21,6 +21,7 @@ from odt_plugins.errors import (
     InvalidMeshError,
     InvalidOptionError,
     ODTWarning,
+    TangledMeshError,
     UnsupportedMeshError,
 )
 from odt_plugins.hosts import open3d_filters
@@ -632,3 +633,15 @@ def test_tensors_are_fields_and_are_transferred():
     carried = report.transfer(height)
     assert carried.dtype == known.dtype
     np.testing.assert_allclose(carried, better.vertex.positions[:, 2:].numpy(), atol=1e-6)
+
+
+def test_errors_of_filters_name_the_cells_as_those_of_optimize_do():
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [1.5, 0.5, 0]])
+    mesh = open3d.geometry.TriangleMesh(
+        open3d.utility.Vector3dVector(points),
+        open3d.utility.Vector3iVector([[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]]))
+    with pytest.raises(TangledMeshError) as alone:
+        odt_plugins.optimize(mesh, repair="none")
+    with pytest.raises(TangledMeshError) as found:
+        open3d_filters.filter_smooth_odt(mesh, 3, repair="none")
+    assert found.value.cells == alone.value.cells != ()

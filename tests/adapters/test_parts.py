@@ -10,7 +10,12 @@ import surface_meshes as sm
 from scipy.spatial import Delaunay
 
 import odt_plugins
-from odt_plugins.errors import InvalidMeshError, InvalidOptionError, UnsupportedMeshError
+from odt_plugins.errors import (
+    InvalidMeshError,
+    InvalidOptionError,
+    TangledMeshError,
+    UnsupportedMeshError,
+)
 
 trimesh = pytest.importorskip("trimesh")
 move = trimesh.transformations.translation_matrix
@@ -239,3 +244,31 @@ def test_vertices_of_the_whole_are_all_nodes_of_quadratic_parts():
     out, whole = odt_plugins.optimize_with_report(pyvista.MultiBlock([part, part.copy()]))
     assert whole.after.n_points == sum(one.after.n_points for one in whole.parts)
     assert whole.after.n_points == sum(block.n_points for block in out)
+
+
+class Stopped(InvalidMeshError):
+    """What a caller's own function raises."""
+
+    def __init__(self, stage, share):
+        super().__init__(f"stopped at {stage}")
+        self.share = share
+
+
+def test_errors_of_a_part_know_what_those_of_one_mesh_do():
+    pyvista = pytest.importorskip("pyvista")
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [1.5, 0.5, 0]])
+    part = pyvista.PolyData.from_regular_faces(
+        points, [[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]])
+    with pytest.raises(TangledMeshError) as alone:
+        odt_plugins.optimize(part, repair="none")
+    with pytest.raises(TangledMeshError, match="block 'left': got") as found:
+        odt_plugins.optimize(pyvista.MultiBlock({"left": part}), repair="none")
+    assert found.value.cells == alone.value.cells != ()
+
+    def stop(stage, share):
+        if share > 0.0:
+            raise Stopped(stage, share)
+
+    with pytest.raises(Stopped, match="block 'left': stopped") as own:
+        odt_plugins.optimize(pyvista.MultiBlock({"left": part}), progress=stop)
+    assert own.value.share > 0.0
