@@ -35,6 +35,7 @@ from odt_plugins.adapters.gmsh_parts import (
     Part,
     Rows,
     chosen_kind,
+    closest_on,
     kinds_of,
     parts_of,
 )
@@ -282,10 +283,11 @@ def _put_on(
     model: Any, parts: dict[Entity, Part], of: IntArray, places: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Places (k, 3) nearest to given ones on entities `of` (k,), where these are shaped."""
-    out, keys = places.copy(), list(parts)
-    for i in np.intersect1d(of, _shaped(model, parts)).tolist():
-        found = model.getClosestPoint(*keys[i], places[of == i].ravel())[0]
-        out[of == i] = np.asarray(found).reshape(-1, 3)
+    out, keys, shaped = places.copy(), list(parts), _shaped(model, parts)
+    for i in np.intersect1d(of, shaped).tolist():
+        rim = [keys[k] for k in shaped
+               if keys[k] in model.getBoundary([keys[i]], combined=False, oriented=False)]
+        out[of == i] = closest_on(model, keys[i], rim, parts, places[of == i])
     return out
 
 

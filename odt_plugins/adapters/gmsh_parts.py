@@ -15,6 +15,9 @@ Entity = tuple[int, int]
 
 IntArray = NDArray[np.int64]
 
+FAR = 1e-9
+"""Distance, as a part of a face, by which what is further than a node is not the nearest place."""
+
 
 class Kind(NamedTuple):
     """A type of elements: its name, dimension, order, number of nodes, and that of corners."""
@@ -139,3 +142,30 @@ def chosen_kind(model: Any, kinds: dict[int, Kind]) -> int:
                    f"others to be linear, try gmsh.model.mesh.setOrder(1)")
             raise UnsupportedMeshError(msg)
     return found[0]
+
+
+def closest_on(
+    model: Any, entity: Entity, rim: list[Entity], parts: dict[Entity, Part],
+    places: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Places (k, 3) on an entity, or on the curves of its rim, that are nearest to given ones.
+
+    Where a foot is beyond the rim of a face, as near that of a cut sphere, Gmsh finds another one,
+    which may be on the far side: further away than a node.
+    """
+    from scipy.spatial import cKDTree
+
+    def found_on(one: Entity, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(model.getClosestPoint(*one, x.ravel())[0]).reshape(-1, 3)
+
+    out = found_on(entity, places)
+    nodes = np.concatenate([parts[one].places for one in (entity, *rim)])
+    if not (rim and len(nodes)):
+        return out
+    near = cKDTree(nodes).query(places)[0] + FAR * float(np.ptp(nodes, axis=0).max())
+    off = np.flatnonzero(np.sqrt(((out - places) ** 2).sum(axis=1)) > near)
+    if len(off):
+        ways = np.stack([found_on(one, places[off]) for one in (entity, *rim)])
+        best = ((ways - places[off]) ** 2).sum(axis=2).argmin(axis=0)
+        out[off] = ways[best, np.arange(len(off))]
+    return out

@@ -46,7 +46,8 @@ def on_geometry(work: Prepared) -> Prepared:
     astray = int((off > ASTRAY * diagonal(places)).sum()) if len(own) else 0
     if not astray:
         return work
-    note = (f"{counted(astray, 'vertex', 'vertices')} of the surface are not on the geometry that "
+    note = (f"{counted(astray, 'vertex', 'vertices')} of the surface "
+            f"{'is' if astray == 1 else 'are'} not on the geometry that "
             f"the mesh refers to, {off.max():.3g} from it at most; the surface slides on its own "
             f"triangles")
     return work._replace(host=replace(work.host, geometry=None), notes=(*work.notes, note))

@@ -233,6 +233,30 @@ def test_vertices_slide_on_the_parametrisation_of_a_surface_from_a_file(tmp_path
                if e[0] == 2) > 1
 
 
+def test_a_cut_sphere_is_resized_though_feet_are_beyond_its_rim():
+    model = contract.GmshModel().current()
+    model.occ.cut([(3, model.occ.addSphere(0, 0, 0, 1))],
+                  [(3, model.occ.addBox(-2, -2, 0.5, 4, 4, 2))])
+    model.occ.synchronize()
+    gmsh.option.setNumber("Mesh.MeshSizeMax", 0.25)
+    model.mesh.generate(3)
+    before = len(model.mesh.getElementsByType(2)[0])
+    _, report = odt_plugins.remesh_with_report(model, scale=1.5, envelope=1e-2)
+    assert report.slid["envelope"] < 0.1                # chords of 0.25 are 0.01 from the sphere
+    assert report.fallback is None
+    assert len(model.mesh.getElementsByType(2)[0]) < 0.8 * before
+    assert off_the_geometry(model)[0] < 1e-9
+
+
+def test_vertices_that_were_taken_off_the_geometry_are_counted():
+    with part(size=0.2) as model:
+        tags, flat, _ = max((model.mesh.getNodes(*entity) for entity in model.getEntities(2)),
+                            key=lambda nodes: len(nodes[0]))
+        model.mesh.setNode(tags[0], flat[:3] * 1.05, [])
+        _, report = odt_plugins.optimize_with_report(model, boundary="slide")
+    assert any("1 vertex of the surface is not on the geometry" in note for note in report.notes)
+
+
 def test_faces_of_a_model_without_volumes_stay_on_it():
     for options in ({}, {"boundary": "slide"}):
         with part(2) as model:
