@@ -261,6 +261,7 @@ def _geometry(
             for elements in parts[keys[i]].elements:
                 rows = elements.nodes[:, : keys[i][0] + 1]
                 middle = middles(places[order[np.searchsorted(tags, rows, sorter=order)]])
+                middle = np.unique(middle, axis=0)
                 there = _put_on(model, parts, np.full(len(middle), i), middle)
                 most = max(most, float(np.linalg.norm(there - middle, axis=1).max()))
         return most
