@@ -107,8 +107,9 @@ def run_parts(
                         f"{whole.TOGETHER}")
                 report = replace(report, notes=(*report.notes, note))
             if held is not None:
-                count = counted(int(held.sum()), "vertex", "vertices")
-                note = f"{count} at the rim of another {whole.PART} stay, so that it stays there"
+                rim = f"at the rim of another {whole.PART}"
+                stay = counted(int(held.sum()), f"vertex {rim} stays", f"vertices {rim} stay")
+                note = f"{stay}, so that it stays there"
                 report = replace(report, notes=(*report.notes, note))
             results.append(result)
             reports.append(replace(report, name=name))

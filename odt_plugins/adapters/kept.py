@@ -400,8 +400,10 @@ def _note_inside(
     if not count or not (vertices or free):
         return ()
     what, cells = ("triangle", "tetrahedra") if k == 4 else ("line", "triangles")
-    told = ("remain faces of cells and move with their vertices" if free else
-            f"stay with {counted(vertices, 'vertex', 'vertices')}" + advise * (
+    one = count == 1
+    told = (("remains a face of cells and moves with its vertices" if one else
+             "remain faces of cells and move with their vertices") if free else
+            f"stay{'s' * one} with {counted(vertices, 'vertex', 'vertices')}" + advise * (
                 f"; try free='inside' to let these move where they are no "
                 f"{'surface' if k == 4 else 'curve'} of yours"))
     return (host.words(f"{counted(count, what)} beside the {cells}, inside of a region, {told}"),)
@@ -439,15 +441,16 @@ def hold_places(
         notes.append(told_of_twins(same, HELD))
     splines = sum(len(rows) for kind, rows, *_ in host.kept if kind == SPLINE_VERTEX)
     if splines:
-        notes.append(f"{counted(splines, 'vertex', 'vertices')} on splines stay, since Netgen "
-                     f"takes no parameters of points there")
+        stay = counted(splines, "vertex on splines stays", "vertices on splines stay")
+        notes.append(f"{stay}, since Netgen takes no parameters of points there")
     disagree = mesh.is_surface and mesh.frozen.any()
     if periodic:
         mesh, count, chance = _hold_periodic(mesh, host.coupled, resized=resized)
         if count:
             advice = "" if host.linked else "; try free='periodic' to let them slide"
-            notes.append(f"{counted(count, 'vertex', 'vertices')} of periodic faces stay, so that "
-                         f"the faces still correspond{advice}")
+            stay = counted(count, "vertex of periodic faces stays",
+                           "vertices of periodic faces stay")
+            notes.append(f"{stay}, so that the faces still correspond{advice}")
         if chance:
             notes.append(f"opposite faces of {counted(chance, 'triangle')} match, by chance as it "
                          f"seems, and need not do so afterwards; try boundary='fixed' to keep them")

@@ -153,9 +153,9 @@ def _on_surface(
     inside[face[on], corner[on]] = True
     across = int((~(stays | inside)).any(axis=1).sum())
     if across:
-        msg = (f"{counted(across, 'triangle')} of the result lie across seams of the texture, "
-               "which is continued there beyond its charts; to keep the seams try "
-               f"regions={CHARTS!r}")
+        lie = counted(across, "triangle of the result lies", "triangles of the result lie")
+        msg = (f"{lie} across seams of the texture, which is continued there beyond its charts; to "
+               f"keep the seams try regions={CHARTS!r}")
         warn(msg, DataNotKeptWarning)
     return out
 

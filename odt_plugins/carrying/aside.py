@@ -129,5 +129,6 @@ def with_others(
 
 def note(count: int) -> str:
     """Say how many cells stay."""
-    return (f"{counted(count, 'curved cell')} with inverted or flat corners but of valid shape "
-            f"stay as they are, and are in no figure")
+    which = "with inverted or flat corners but of valid shape"
+    return counted(count, f"curved cell {which} stays as it is, and is in no figure",
+                   f"curved cells {which} stay as they are, and are in no figure")

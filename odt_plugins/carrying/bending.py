@@ -126,8 +126,9 @@ def leaving_bent(leaving: Leaving, mesh: SimplexMesh) -> Leaving:
 
 def note_on_flatter(count: int) -> tuple[str, ...]:
     """What a report says of edges that are flatter lest cells be poor."""
-    return (f"{counted(count, 'edge')} of cells are flatter than the curved surface, where cells "
-            f"would fold or be poor, as none of the input is",) if count else ()
+    are = counted(count, "edge of cells is", "edges of cells are")
+    return (f"{are} flatter than the curved surface, where cells would fold or be poor, as none of "
+            f"the input is",) if count else ()
 
 
 def _in_space(points: FloatArray) -> FloatArray:
@@ -169,8 +170,9 @@ def _still(
     notes = work.notes
     if own is None:
         why = "vertices are inserted" if insert else "the surface does; try boundary='slide'"
-        notes += (f"{counted(int(stays.sum()), 'curved cell')} of the input stay as they are, "
-                  f"since {why}",)
+        stay = counted(int(stays.sum()), "curved cell of the input stays as it is",
+                       "curved cells of the input stay as they are")
+        notes += (f"{stay}, since {why}",)
     return work._replace(mesh=freeze(work.mesh, stays), notes=notes)
 
 

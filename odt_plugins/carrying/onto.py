@@ -46,10 +46,9 @@ def on_geometry(work: Prepared) -> Prepared:
     astray = int((off > ASTRAY * diagonal(places)).sum()) if len(own) else 0
     if not astray:
         return work
-    note = (f"{counted(astray, 'vertex', 'vertices')} of the surface "
-            f"{'is' if astray == 1 else 'are'} not on the geometry that "
-            f"the mesh refers to, {off.max():.3g} from it at most; the surface slides on its own "
-            f"triangles")
+    are = counted(astray, "vertex of the surface is", "vertices of the surface are")
+    note = (f"{are} not on the geometry that the mesh refers to, {off.max():.3g} from it at most; "
+            f"the surface slides on its own triangles")
     return work._replace(host=replace(work.host, geometry=None), notes=(*work.notes, note))
 
 

@@ -391,8 +391,9 @@ def _labelled(points: FloatArray, cells: IntArray, host: HostMesh, reach: float)
     face = closest_faces(points, facets, ground, reach)
     lost = int((face < 0).sum())
     if lost:
-        msg = (f"{lost} of {counted(len(face), 'triangle')} of the boundary stand for no face of "
-               f"the surface, as where a hole was closed; they have no label")
+        stand, have = ("stands", "it has") if lost == 1 else ("stand", "they have")
+        msg = (f"{lost} of {counted(len(face), 'triangle')} of the boundary {stand} for no face of "
+               f"the surface, as where a hole was closed; {have} no label")
         warn(msg, ODTWarning)
     data: dict[str, Any] = {
         name: [_of_cells(name, values, len(cells)), _of_facets(values, face)]

@@ -10,9 +10,10 @@ import meshio
 import numpy as np
 import pytest
 
-from odt_plugins import optimize_with_report, remesh, remesh_with_report
+from odt_plugins import aside, optimize_with_report, remesh, remesh_with_report
 from odt_plugins.adapters.elevated import _unfold
 from odt_plugins.adapters.higher_order import lattice
+from odt_plugins.bending import note_on_flatter
 
 SIDES = ((0, 2, 1, 6, 5, 4), (0, 1, 3, 4, 8, 7), (1, 2, 3, 5, 9, 8), (0, 3, 2, 7, 9, 6))
 """Corners of the facets of a tetrahedron, and the nodes on their edges (0, 1), (1, 2), (2, 0)."""
@@ -186,3 +187,11 @@ def test_edges_of_folded_or_poor_cells_become_flatter():
     assert np.array_equal(points, bent)
     assert _unfold(points, np.arange(10)[None], shape, np.arange(4, 10), 0.9) == 1
     assert scaled(points, np.arange(10)[None]) >= 0.9
+
+
+def test_one_edge_and_one_cell_are_told_in_the_singular():
+    assert note_on_flatter(1)[0].startswith("1 edge of cells is flatter")
+    assert note_on_flatter(2)[0].startswith("2 edges of cells are flatter")
+    assert "1 curved cell with" in aside.note(1)
+    assert "stays as it is, and is in no figure" in aside.note(1)
+    assert "stay as they are, and are in no figure" in aside.note(2)

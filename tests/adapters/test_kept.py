@@ -63,7 +63,7 @@ def test_vertices_that_stay_for_another_reason_are_not_counted_with_facets_insid
     mesh = beside(np.concatenate([points, points[:1] + 5.0]), cells, rows)
     mesh = meshio.Mesh(mesh.points, [*mesh.cells, ("vertex", other[:, None])])
     _, report = odt_plugins.optimize_with_report(mesh)
-    assert f"stay with {d} vertices" in " ".join(report.notes)
+    assert f"stays with {d} vertices" in " ".join(report.notes)
 
 
 def test_a_surface_between_labels_holds_nothing_more():

@@ -86,7 +86,9 @@ def told_of_frozen(
     """An outcome that says how many more cells are frozen, whether the boundary is, and why."""
     count = int((held.frozen & ~mesh.frozen).sum())
     if count:
-        note = f"{counted(count, 'cell')} of the input stay as they are, since {why}"
+        stay = counted(count, "cell of the input stays as it is",
+                       "cells of the input stay as they are")
+        note = f"{stay}, since {why}"
         outcome = replace(outcome, notes=(*outcome.notes, note))
     if boundary:
         outcome = replace(outcome, fallback=f"the boundary is left as it is, since {why}")

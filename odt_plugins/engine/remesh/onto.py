@@ -40,6 +40,6 @@ def on_smooth(outcome: Outcome, smooth: Smooth) -> tuple[Outcome, tuple[str, ...
             break
         share[more] += 1
     off = int(((share > 0) & (way != 0.0).any(axis=1)).sum())
-    notes = (f"{counted(off, 'vertex', 'vertices')} of the surface are not on the geometry, since "
-             f"cells would fold there",) if off else ()
+    are = counted(off, "vertex of the surface is", "vertices of the surface are")
+    notes = (f"{are} not on the geometry, since cells would fold there",) if off else ()
     return replace(outcome, points=points), notes
