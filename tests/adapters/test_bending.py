@@ -10,10 +10,11 @@ import meshio
 import numpy as np
 import pytest
 
-from odt_plugins import aside, optimize_with_report, remesh, remesh_with_report
+from odt_plugins import optimize_with_report, remesh, remesh_with_report
 from odt_plugins.adapters.elevated import _unfold
 from odt_plugins.adapters.higher_order import lattice
-from odt_plugins.bending import note_on_flatter
+from odt_plugins.carrying import aside
+from odt_plugins.carrying.bending import note_on_flatter
 
 SIDES = ((0, 2, 1, 6, 5, 4), (0, 1, 3, 4, 8, 7), (1, 2, 3, 5, 9, 8), (0, 3, 2, 7, 9, 6))
 """Corners of the facets of a tetrahedron, and the nodes on their edges (0, 1), (1, 2), (2, 0)."""
