@@ -7,8 +7,10 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from functools import wraps
 from html import escape
-from typing import Any
+from typing import Any, TypeVar, cast
 
 from odt_plugins.options import COMPILING, Progress
 
@@ -17,6 +19,12 @@ HEARING: list[Callable[[bool], object]] = []
 
 STEP = 0.005
 """Part by which a bar in a notebook grows at least; each step is a message to the browser."""
+
+
+BEFORE_FIELDS = 0.5
+"""Part of a run that is over when values are given the integrals that they had."""
+
+RunT = TypeVar("RunT", bound=Callable[..., Any])
 
 
 def silent(stage: str, fraction: float) -> None:
@@ -48,6 +56,18 @@ def telling(progress: Progress | bool | None, first: str) -> Iterator[Progress]:
     yield tell
     if reached < 1.0:
         tell(last, 1.0)
+
+
+def told_whole(run: RunT) -> RunT:
+    """Let a function of a mesh and options tell one progress from its begin to its end."""
+    @wraps(run)
+    def whole(mesh: Any, options: Any, *given: Any) -> Any:
+        if not options.progress:
+            return run(mesh, options, *given)
+        with telling(options.progress, "preparing") as progress:
+            return run(mesh, replace(options, progress=progress), *given)
+
+    return cast("RunT", whole)
 
 
 def part(progress: Progress, low: float, high: float) -> Progress:

@@ -16,11 +16,19 @@ import tet_meshes
 from pieces import write_pieces
 
 import odt_plugins
-from odt_plugins import generate, tetwild
+from odt_plugins import generate, roundtrip, tetwild
 from odt_plugins.compare.start import ball
 from odt_plugins.distributed import optimize as blockwise
 from odt_plugins.options import COMPILING
-from odt_plugins.progress import STEP, compiling_told, kernels_shown, part, shown, telling
+from odt_plugins.progress import (
+    BEFORE_FIELDS,
+    STEP,
+    compiling_told,
+    kernels_shown,
+    part,
+    shown,
+    telling,
+)
 
 
 def tets(seed=2):
@@ -97,6 +105,20 @@ def test_attempts_at_a_number_of_cells_share_the_bar(start):
     assert len(shares) > 6
     assert max(Counter(shares).values()) <= 2
     assert max(shares) < 1.0
+
+
+def test_a_run_is_not_over_before_its_fields_have_their_integrals(monkeypatch):
+    seen = []
+    follow = roundtrip.follow
+
+    def watched(*given):
+        assert seen[-1] == ("fields", BEFORE_FIELDS)
+        return follow(*given)
+
+    monkeypatch.setattr(roundtrip, "follow", watched)
+    odt_plugins.optimize(tets(), fields="conserve",
+                         progress=lambda stage, share: seen.append((stage, share)))
+    assert seen[-1] == ("fields", 1.0)
 
 
 def test_tetwild_has_most_of_the_bar_and_odt_the_rest(monkeypatch):

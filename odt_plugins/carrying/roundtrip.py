@@ -82,7 +82,7 @@ from odt_plugins.mesh.tangled import tangled_mesh
 from odt_plugins.metric.looks import ADVICE, MOST, looks_anisotropic
 from odt_plugins.metric.through import with_metric
 from odt_plugins.options import Options
-from odt_plugins.progress import kernels_shown, part, telling
+from odt_plugins.progress import BEFORE_FIELDS, kernels_shown, part, silent, told_whole
 
 if TYPE_CHECKING:
     from odt_plugins.engine.run.outcome import Leaving, Outcome
@@ -92,6 +92,7 @@ PLAIN = Wanted()
 """What is asked of a mesh with inverted or flat cells unless something else is."""
 
 
+@told_whole
 def run_engine(
     mesh: Any,
     options: Options,
@@ -118,8 +119,10 @@ def run_engine(
         """The mesh with regions such as the result has: bodies where its cells are others."""
         return of_bodies(mesh) if wanted.linear else mesh
 
-    with kernels_shown(options.progress), telling(options.progress, "preparing") as progress:
-        tell = progress if options.progress else None
+    tell = options.progress or None
+    conserves = options.fields == CONSERVE
+    progress = part(tell or silent, 0.0, BEFORE_FIELDS if conserves else 1.0)
+    with kernels_shown(options.progress):
         first = part(progress, 0.0, wanted.share)
         work, given = _prepare(mesh, replace(options, progress=tell and first), wanted)
         layers = 0
@@ -159,6 +162,8 @@ def run_engine(
             then = progress if work.tangle is None else part(progress, wanted.share, 1.0)
             chosen = replace(chosen, progress=tell and then)
             curved = _run_kept(work, given, engine or optimized, chosen, leaves)
+    if conserves:
+        progress("fields", 1.0)
     work, outcome = work._replace(mesh=as_after(curved.mesh)), curved.outcome
     points: Any = outcome.written
     source: Any = outcome.source
@@ -185,7 +190,7 @@ def run_engine(
     near = partial(around, work, options.threads)
     written = replace(outcome, written=points, cells=cells)
     vertices = new_vertices(work, written, near, moved=bool(fields),
-                            always=bool(fields) and options.fields == CONSERVE)
+                            always=bool(fields) and conserves)
     data = follow(work, given, outcome, vertices, options)
     if work.orientation < 0:
         cells = reverse(cells, np.ones(len(cells), dtype=np.bool_))
