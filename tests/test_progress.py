@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import sys
 from collections import Counter
+from functools import partial
 
 import IPython.display
 import numpy as np
@@ -19,6 +20,8 @@ import odt_plugins
 from odt_plugins import generate, roundtrip, tetwild
 from odt_plugins.compare.start import ball
 from odt_plugins.distributed import optimize as blockwise
+from odt_plugins.engine.record.progress import BEFORE_TAIL, BEFORE_WORST, FIRST
+from odt_plugins.engine.run import plan, retreat
 from odt_plugins.options import COMPILING
 from odt_plugins.progress import (
     BEFORE_FIELDS,
@@ -119,6 +122,40 @@ def test_a_run_is_not_over_before_its_fields_have_their_integrals(monkeypatch):
     odt_plugins.optimize(tets(), fields="conserve",
                          progress=lambda stage, share: seen.append((stage, share)))
     assert seen[-1] == ("fields", 1.0)
+
+
+def test_a_run_is_not_over_before_its_worst_cells_are_done_and_it_finished_alone(monkeypatch):
+    seen, begun = [], {}
+
+    def watched(name, run, *given, **more):
+        begun.setdefault(name, seen[-1])
+        return run(*given, **more)
+
+    for name in ("worst_cells", "finish_alone"):
+        monkeypatch.setattr(plan, name, partial(watched, name, getattr(plan, name)))
+    monkeypatch.setattr(plan, "_may_finish_alone", lambda work: True)
+    odt_plugins.optimize(tets(), progress=lambda stage, share: seen.append((stage, share)))
+    assert begun == {"worst_cells": ("finishing", BEFORE_WORST * BEFORE_TAIL),
+                     "finish_alone": ("finishing", BEFORE_TAIL)}
+    assert seen[-1] == ("finishing", 1.0)
+
+
+def test_the_run_beside_one_that_slid_has_most_of_the_rest(monkeypatch):
+    seen, begun = [], []
+
+    def watched(mesh, options, *given, **more):
+        begun.append(seen[-1][1])
+        return run_once(mesh, options, *given, **more)
+
+    run_once = plan.run_once
+    monkeypatch.setattr(plan, "run_once", watched)
+    monkeypatch.setattr(retreat, "_may_be_beaten", lambda *_, **__: True)
+    odt_plugins.optimize(tets(), boundary="slide",
+                         progress=lambda stage, share: seen.append((stage, share)))
+    assert begun == [0.0, pytest.approx(FIRST)]
+    assert seen[-1] == ("finishing", 1.0)
+    rest = (1.0 - FIRST) * FIRST
+    assert any(FIRST < share < FIRST + 0.5 * rest for _, share in seen)
 
 
 def test_tetwild_has_most_of_the_bar_and_odt_the_rest(monkeypatch):

@@ -14,7 +14,12 @@ BEFORE_INSERTION = 0.3
 """Part of a run with insertion that is over when insertion begins."""
 
 BEFORE_TAIL = 0.8
-"""The same where vertices come to a poor tail alone, which few meshes have."""
+"""The same where vertices come to a poor tail alone, or finishing alone follows, which few meshes
+have."""
+
+BEFORE_WORST = 0.5
+"""Part of what comes before that which is over when the mean is settled and the worst cells are
+next."""
 
 
 def until_insertion(options: Options, share: float = BEFORE_INSERTION) -> Options:

@@ -11,7 +11,12 @@ import numpy as np
 from odt_plugins.engine.compiled.threads import thread_pool, worth
 from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.record.memory import State
-from odt_plugins.engine.record.progress import BEFORE_INSERTION, BEFORE_TAIL, until_insertion
+from odt_plugins.engine.record.progress import (
+    BEFORE_INSERTION,
+    BEFORE_TAIL,
+    BEFORE_WORST,
+    until_insertion,
+)
 from odt_plugins.engine.run.best import ALONE, BESIDES, best_state, input_returned
 from odt_plugins.engine.run.judge import cut_vertices, faults, slides, vertices_of_other_sizes
 from odt_plugins.engine.run.outcome import Leaving, Outcome, as_it_is, unchanged
@@ -94,9 +99,13 @@ def follow_plan(work: Work, mesh: Complex) -> str:
     str               why stage 1 stopped, and what followed
     """
     options, memory, log = work.options, work.memory, work.log
-    share = BEFORE_INSERTION if work.within.tail == math.inf else BEFORE_TAIL
-    early = replace(work, options=until_insertion(options, share)) if options.insert else work
-    mesh, reason = in_cycles(mesh, early)
+    inserts = options.insert and work.within.tail == math.inf
+    share = BEFORE_INSERTION if inserts else BEFORE_TAIL
+    early = cycles = work
+    if options.finish:
+        early = replace(work, options=until_insertion(options, share))
+        cycles = replace(work, options=until_insertion(early.options, BEFORE_WORST))
+    mesh, reason = in_cycles(mesh, cycles)
     if options.finish:
         with log.timed("finishing"):
             worst_cells(mesh, early)
@@ -120,6 +129,8 @@ def follow_plan(work: Work, mesh: Complex) -> str:
     if may and reached.p1_quality < work.within.tail:
         with log.timed("inserting"):
             insert(work, share)
+    elif not inserts:
+        (options.progress or silent)("finishing", 1.0)
     return reason
 
 

@@ -31,12 +31,10 @@ def run_sliding(
     """
     outcome, spoiled = once(mesh, in_turn(options, 0))
     fixed = mesh.fixed.copy()
-    times = Counter(outcome.times)
-    for turn in range(POLICY.slide_retreats):
-        if outcome.slid is not None or fixed[spoiled].all():
-            break
-        fixed[spoiled] = True
-        outcome, spoiled = once(replace(mesh, fixed=fixed), in_turn(options, turn + 1))
+    times, turn = Counter(outcome.times), 0
+    while turn < POLICY.slide_retreats and outcome.slid is None and not fixed[spoiled].all():
+        fixed[spoiled], turn = True, turn + 1
+        outcome, spoiled = once(replace(mesh, fixed=fixed), in_turn(options, turn))
         times.update(outcome.times)
     if outcome.slid is not None:
         left_alone = int((fixed & ~mesh.fixed).sum())
@@ -44,7 +42,7 @@ def run_sliding(
         outcome = replace(outcome, counts=outcome.counts | more, times=dict(times))
         if not _may_be_beaten(outcome, options, tail=tail):
             return outcome
-    last = in_turn(options, POLICY.slide_retreats + 1)
+    last = in_turn(options, turn + 1)
     still, _ = once(mesh, replace(last, boundary="fixed"))
     times.update(still.times)
     why = (outcome.fallback or outcome.stop_reason).removeprefix(INPUT)
