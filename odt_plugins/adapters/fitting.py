@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters.formats.decks import indices
+from odt_plugins.adapters.formats.decks import alike, indices
 from odt_plugins.adapters.formats.gmsh_tables import BOOKKEEPING, ENTITY, PHYSICAL
 from odt_plugins.adapters.formats.med_families import with_families
 from odt_plugins.adapters.formats.medit_solution import is_solution
@@ -455,9 +455,9 @@ def _group(mesh: Any) -> None:
         numbers = np.array([names[n][0] for n in names if names[n][1] == dim])
         inside = table[:, 1:].astype(bool)
         first = np.where(inside.any(axis=1), numbers[inside.argmax(axis=1)], 0)
-        _, choice = np.unique(table, axis=0, return_inverse=True)
+        choice = alike([table[:, 0], *inside.T])[1]
         ends = np.cumsum(size)[:-1]
-        for i, tag, entity in zip(own, np.split(first, ends), np.split(choice.ravel() + 1, ends),
+        for i, tag, entity in zip(own, np.split(first, ends), np.split(choice + 1, ends),
                                   strict=True):
             tags[i], entities[i] = tag, entity
     mesh.field_data = names

@@ -169,7 +169,7 @@ def spreads(arrays: Mapping[str, NDArray[Any]], cells: NDArray[Any]) -> dict[str
             continue
         if values.dtype.kind == "O":
             values = values.astype(str)
-        distinct, label, count = np.unique(values, return_inverse=True, return_counts=True)
+        distinct, label, count = _told_apart(values)
         if known:
             # Few whole values of a float are labels; a field that is whole everywhere has more.
             if values.dtype.kind != "f" or len(distinct) <= _most(len(cells)):
@@ -181,6 +181,15 @@ def spreads(arrays: Mapping[str, NDArray[Any]], cells: NDArray[Any]) -> dict[str
             pieces = int(components(first[~differ], second[~differ], len(cells)).max()) + 1
             out[name] = Spread(distinct, count, len(differ), int(differ.sum()), pieces)
     return out
+
+
+def _told_apart(values: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any], NDArray[np.int64]]:
+    """Different values, which of them each is, and how often; those of sets without sorting."""
+    if values.dtype != np.bool_:
+        return np.unique(values, return_inverse=True, return_counts=True)
+    count = np.bincount(values.ravel(), minlength=2)
+    there = np.flatnonzero(count)
+    return there.astype(np.bool_), values & (len(there) > 1), count[there]
 
 
 def named_spreads(

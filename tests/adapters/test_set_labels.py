@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import time
 import warnings
 
 import boxes
@@ -11,6 +12,8 @@ import numpy as np
 import pytest
 
 from odt_plugins.adapters.files import read_file, write_file
+from odt_plugins.adapters.formats import exodus, exodus_write
+from odt_plugins.adapters.formats.decks import alike, joint_labels
 
 
 def two_bodies(labels=None):
@@ -420,3 +423,32 @@ def test_labels_that_a_reader_made_of_sets_are_lost_only_where_these_do_not_tell
     plain.cell_data["abaqus:elset"][0][-1] = 9
     with pytest.warns(match="abaqus:elset"):
         write_file(tmp_path / f"c{name}", plain)
+
+
+def test_cells_are_alike_where_all_numbers_and_sets_are():
+    random = np.random.default_rng(3)
+    label = random.integers(-2, 3, 500)
+    sets = random.random((500, 19)) < 0.1
+    for columns in ([*sets.T], [label, *sets.T], [label], [sets[:, 0]]):
+        _, first, same = np.unique(np.stack(columns, axis=1).astype(np.int64), axis=0,
+                                   return_index=True, return_inverse=True)
+        got = alike(columns)
+        assert np.array_equal(got[0], first)
+        assert np.array_equal(got[1], same.ravel())
+
+
+def test_many_sets_do_not_take_the_square_of_their_number(tmp_path):
+    """As of a polycrystal whose grains have names."""
+    many = 500
+    cells = np.arange(4 * 10 * many).reshape(-1, 4)
+    points = np.tile([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], (len(cells), 1))
+    points += np.repeat(np.arange(len(cells)), 4)[:, None]
+    grains = np.arange(len(cells)).reshape(many, -1)
+    mesh = meshio.Mesh(points, [("tetra", cells)],
+                       cell_sets={f"grain{i}": [rows] for i, rows in enumerate(grains)})
+    clock = time.process_time()
+    exodus_write.write(tmp_path / "a.e", mesh, None)
+    joint_labels([], {name: np.isin(np.arange(len(cells)), rows[0])
+                      for name, rows in mesh.cell_sets.items()}, cells)
+    assert time.process_time() - clock < 8
+    assert len(exodus.read(tmp_path / "a.e").cell_sets) == many

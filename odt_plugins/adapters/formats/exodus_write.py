@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters.formats.decks import indices
+from odt_plugins.adapters.formats.decks import alike, indices
 from odt_plugins.adapters.formats.exodus import BLOCK, SIDE
 from odt_plugins.adapters.formats.exodus_tables import CORNERS, ORDER, WORDS, facets_in
 from odt_plugins.errors import UnsupportedMeshError
@@ -115,16 +115,16 @@ def _labels(mesh: Any) -> list[NDArray[np.int64]]:
 
 def _choices(mesh: Any) -> list[NDArray[np.int64]]:
     """A number from 1 on of every cell for the choice of sets that it is in, or for its block."""
-    masks = [np.zeros((len(block.data), len(mesh.cell_sets)), dtype=np.int64)
+    masks = [np.zeros((len(block.data), len(mesh.cell_sets)), dtype=np.bool_)
              for block in mesh.cells]
     for j, members in enumerate(mesh.cell_sets.values()):
         for mask, rows in zip(masks, members, strict=True):
             if rows is not None and len(rows):
-                mask[np.asarray(rows), j] = 1
+                mask[np.asarray(rows), j] = True
     whole = np.concatenate(masks)
-    _, first, inverse = np.unique(whole, axis=0, return_index=True, return_inverse=True)
+    first, inverse = alike(list(whole.T)) if whole.size else (np.zeros(0, dtype=np.int64),) * 2
     number = np.argsort(np.argsort(first)) + 1
-    if not whole.shape[1] or len(first) > len(mesh.cells) + len(mesh.cell_sets):
+    if not whole.size or len(first) > len(mesh.cells) + len(mesh.cell_sets):
         number, inverse = np.arange(len(mesh.cells)) + 1, np.repeat(
             np.arange(len(mesh.cells)), [len(block.data) for block in mesh.cells])
     ends = np.cumsum([len(block.data) for block in mesh.cells])[:-1]
@@ -190,12 +190,16 @@ def _names(mesh: Any, groups: list[list[_Part]], *, whole: bool) -> list[str]:
     """
     found = {}
     blocks = {part.block for parts in groups for part in parts}
+    group = [np.full(len(block.data), len(groups)) for block in mesh.cells]
+    for k, parts in enumerate(groups):
+        for part in parts:
+            group[part.block][part.rows] = k
+    sizes = np.array([sum(len(part.rows) for part in parts) for parts in groups], dtype=np.int64)
     for name, members in mesh.cell_sets.items():
         own = [indices(rows if i in blocks else []) for i, rows in enumerate(members)]
-        inside = [k for k, parts in enumerate(groups)
-                  if all(np.isin(part.rows, own[part.block]).all() for part in parts)]
-        count = sum(len(part.rows) for k in inside for part in groups[k])
-        found[str(name)] = inside, sum(map(len, own)) == count
+        of = np.concatenate([group[i][np.unique(rows)] for i, rows in enumerate(own)])
+        inside = np.flatnonzero(np.bincount(of, minlength=len(groups) + 1)[:-1] == sizes).tolist()
+        found[str(name)] = inside, sum(map(len, own)) == int(sizes[inside].sum())
     out = [""] * len(groups)
     for name in sorted(found, key=lambda name: (not found[name][1], len(found[name][0]))):
         inside, same = found[name]
@@ -254,12 +258,15 @@ def _side_sets(
 def _element_sets(file: Any, mesh: Any, parts: list[_Part], named: set[str], starts: Any) -> None:
     """Write the cells in blocks of the other cell sets as sets of elements."""
     sets = {}
+    number = [np.zeros(len(block.data), dtype=np.int64) for block in mesh.cells]
+    for part, start in zip(parts, starts, strict=False):
+        number[part.block][part.rows] = start + 1 + np.arange(len(part.rows))
     for name in mesh.cell_sets:
-        inside = [indices(rows) for rows in mesh.cell_sets[name]]
-        own = [np.flatnonzero(np.isin(part.rows, inside[part.block])) + start + 1
-               for part, start in zip(parts, starts, strict=False)]
-        if name not in named and any(map(len, own)):
-            sets[name] = np.concatenate(own)
+        if name not in named:
+            own = np.unique(np.concatenate(
+                [number[i][indices(rows)] for i, rows in enumerate(mesh.cell_sets[name])]))
+            if own.any():
+                sets[name] = own[own > 0]
     _put_sets(file, "elem", "els", sets)
 
 

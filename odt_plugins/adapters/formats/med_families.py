@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from odt_plugins.adapters.formats.decks import alike
 from odt_plugins.adapters.formats.med import CELL_TAGS, LONGEST, POINT_TAGS, TURNED
 
 MOST = 2**31 - 1
@@ -72,8 +73,8 @@ def _families(
     label: NDArray[np.int64], sets: dict[str, NDArray[np.bool_]]
 ) -> tuple[NDArray[np.int64], dict[int, list[str]]]:
     """Number (n,) of the family of everything, 0 of what is in none, and groups of every family."""
-    table = np.stack([label, *sets.values()], axis=1).astype(np.int64)
-    choices, inverse = np.unique(table, axis=0, return_inverse=True)
+    first, inverse = alike([label, *sets.values()])
+    choices = np.stack([label[first], *(inside[first] for inside in sets.values())], axis=1)
     cut: list[str] = []
     for name in sets:
         cut.append(_free(name, cut, sets))
@@ -88,7 +89,7 @@ def _families(
             fresh += 1
             numbers[i] = whole[i] if same else fresh
     groups = {int(number): own for number, own in zip(numbers, names, strict=True) if own}
-    return numbers[inverse.ravel()], groups
+    return numbers[inverse], groups
 
 
 def _free(name: str, taken: Sequence[str], names: Container[str]) -> str:
