@@ -221,7 +221,9 @@ def _over(bent: Bent, places: FloatArray, reach: FloatArray) -> FloatArray:
         on_line = (far <= reach) | (len(bent.triangles) == 0)
         a, b = (bent.points[bent.lines[line[on_line], i]] for i in range(2))
         along = b - a
-        t = (((foot[on_line] - a) * along).sum(axis=1) / (along * along).sum(axis=1))[:, None]
+        square = (along * along).sum(axis=1)
+        t = (((foot[on_line] - a) * along).sum(axis=1) / np.where(square > 0.0, square, 1.0))[
+            :, None]
         out[on_line] = a + t * along + 4.0 * t * (1.0 - t) * bent.of_line[line[on_line]]
     out[~on_line] = _on_facets(bent, x[~on_line])
     return out[:, : places.shape[1]]

@@ -105,8 +105,7 @@ def run_engine(
     ----------
     mesh : object        what :func:`odt_plugins.optimize` takes
     options : Options
-    engine : callable    takes the place of the engine for this kind of mesh; it judges meshes as
-                         they leave
+    engine : callable    takes the place of the engine, and judges meshes as they leave
     wanted : Wanted      of a mesh with inverted or flat cells
 
     Returns
