@@ -17,7 +17,8 @@ import tet_meshes
 from pieces import write_pieces
 
 import odt_plugins
-from odt_plugins import generate, roundtrip, tetwild
+from odt_plugins import generate, tetwild
+from odt_plugins.carrying import roundtrip
 from odt_plugins.compare.start import ball
 from odt_plugins.distributed import optimize as blockwise
 from odt_plugins.engine.record.progress import BEFORE_TAIL, BEFORE_WORST, FIRST
