@@ -321,6 +321,7 @@ class Units:
     def _compiled(self, name: str, kernel: Kernel, args: tuple[Any, ...]) -> tuple[Any, Any]:
         made = njit(  # type: ignore[call-overload]
             error_model="numpy", forceinline=kernel.inlined, no_cpython_wrapper=True,
+            no_rewrites=True,
         )(kernel.py_func)
         made.compile(args)
         text = made.inspect_llvm(args)
