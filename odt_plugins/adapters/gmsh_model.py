@@ -286,8 +286,8 @@ def _put_on(
     """Places (k, 3) nearest to given ones on entities `of` (k,), where these are shaped."""
     out, keys, shaped = places.copy(), list(parts), _shaped(model, parts)
     for i in np.intersect1d(of, shaped).tolist():
-        rim = [keys[k] for k in shaped
-               if keys[k] in model.getBoundary([keys[i]], combined=False, oriented=False)]
+        around = set(model.getBoundary([keys[i]], combined=False, oriented=False))
+        rim = [keys[k] for k in shaped if keys[k] in around]
         out[of == i] = closest_on(model, keys[i], rim, parts, places[of == i])
     return out
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from contextlib import contextmanager
 from dataclasses import replace
 
@@ -246,6 +247,22 @@ def test_a_cut_sphere_is_resized_though_feet_are_beyond_its_rim():
     assert report.fallback is None
     assert len(model.mesh.getElementsByType(2)[0]) < 0.8 * before
     assert off_the_geometry(model)[0] < 1e-9
+
+
+def test_the_rim_of_every_entity_is_asked_once_for_the_places_on_it(monkeypatch):
+    asked = Counter()
+
+    def counting(name, call):
+        def counted(*given, **options):
+            asked[name] += 1
+            return call(*given, **options)
+        return staticmethod(counted)
+
+    with part(size=0.3) as model:
+        for name in ("getBoundary", "getClosestPoint"):
+            monkeypatch.setattr(model, name, counting(name, getattr(model, name)))
+        odt_plugins.optimize(model, boundary="slide", finish=False)
+    assert 0 < asked["getBoundary"] <= asked["getClosestPoint"]
 
 
 def test_vertices_that_were_taken_off_the_geometry_are_counted():
