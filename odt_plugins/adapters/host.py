@@ -286,7 +286,7 @@ class NewVertices(NamedTuple):
         for depth in (INTERFACE, INSIDE) if depths is not None else ():
             own, here = values[was == depth], self.placed[added & (now == depth)]
             if len(own) and _alike(own):
-                out[here] = own[0]
+                out[here] = own[:1]
             elif not len(own) and depth == INSIDE and name in POINT_LABELS:
                 out[here] = 0
         return out
@@ -300,6 +300,8 @@ class NewVertices(NamedTuple):
 
 def _alike(values: NDArray[Any]) -> bool:
     """Whether all values (n, ...) are the same."""
+    if values.dtype == object:
+        return all(np.array_equal(one, values[0]) for one in values)
     return bool((values == values[:1]).all())
 
 

@@ -125,3 +125,15 @@ def test_lists_of_several_lengths_stay_with_their_vertices_and_faces():
     tags = [mesh.face_attributes["tags"][i] for i in report.cell_origin]
     assert list(out.face_attributes["tags"]) == tags
     assert {len(joints) for joints in out.vertex_attributes["joints"]} == {0, 1, 2}
+
+
+@pytest.mark.parametrize("entry", [
+    lambda i: np.arange(i % 3), lambda i: [[1], [1, 2]], lambda i: {"bone": [1, 2]}])
+def test_entries_of_any_kind_stay_with_their_vertices(entry):
+    mesh = ball()
+    values = [entry(i) for i in range(len(mesh.vertices))]
+    mesh.vertex_attributes["joints"] = values
+    out = odt_plugins.remesh(mesh, scale=0.8)
+    got = out.vertex_attributes["joints"]
+    assert len(got) == len(out.vertices) > len(values)
+    assert {str(one) for one in got} == {str(one) for one in values}
