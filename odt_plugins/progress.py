@@ -20,7 +20,6 @@ HEARING: list[Callable[[bool], object]] = []
 STEP = 0.005
 """Part by which a bar in a notebook grows at least; each step is a message to the browser."""
 
-
 BEFORE_FIELDS = 0.5
 """Part of a run that is over when values are given the integrals that they had."""
 
@@ -59,7 +58,7 @@ def telling(progress: Progress | bool | None, first: str) -> Iterator[Progress]:
 
 
 def told_whole(run: RunT) -> RunT:
-    """Let a function of a mesh and options tell one progress from its begin to its end."""
+    """Let a function of a mesh and options tell one progress from its beginning to its end."""
     @wraps(run)
     def whole(mesh: Any, options: Any, *given: Any) -> Any:
         if not options.progress:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import inspect
+import re
 import subprocess
 import sys
 from collections import namedtuple as tuple_of
@@ -211,6 +212,13 @@ def test_the_tables_name_the_rooms_that_exist():
     assert {room(path) for path in MODULES} == set(MAY_IMPORT)
     inside = {path.parent.name for path in MODULES if room(path) == "engine"} - {"engine"}
     assert inside == set(ENGINE)
+
+
+def test_the_page_of_the_package_names_all_rooms():
+    page = (PACKAGE / "README.md").read_text()
+    table = page.partition("A mesh takes this way")[0]
+    names = {name.rstrip("/").removesuffix(".py") for name in re.findall(r"`([\w/.]+)`", table)}
+    assert set(MAY_IMPORT) - {"__init__", "__main__"} - names == set()
 
 
 def test_no_import_of_the_engine_runs_upward(held):

@@ -3,13 +3,13 @@
 `run_engine` (in ``roundtrip``) reads as the way: an adapter takes arrays out of an object; what the
 engine does not see is laid aside (``aside``, ``curved``), inverted cells are untangled
 (``untangling``), an envelope around another mesh becomes one around this (``reference``); the
-engine runs; and `follow` gives arrays, sets and facets to the cells and vertices that are there
-now.
+engine runs; and `follow` (in ``following``) gives arrays, sets and facets to the cells and vertices
+that are there now.
 
 Where they come from is in ``sources``; ``conserve`` gives them the integrals that they had, and
 ``integrals`` tells by how much these changed; ``textures`` finds triangles in those of the input,
-``bending`` and ``onto`` put nodes on curved facets and on the geometry of a model; ``transfer``
-does the same for arrays of the caller's own.
+``bending`` and ``onto`` put nodes on curved facets and on the geometry of a model; by ``transfer``
+arrays of the caller's own follow, too.
 
 Source of integrals: P. E. Farrell et al., Conservative interpolation between unstructured meshes
 via supermesh construction, CMAME 198 (2009) 2632-2642.
