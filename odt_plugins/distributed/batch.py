@@ -231,6 +231,8 @@ def run_batch(
     jobs : list of Job         see :func:`make_jobs`
     client : distributed.Client, optional
                                its workers see the same files under the same paths
+    workers : int              processes of this machine that work at a time; 0 for one after the
+                               other
     progress : callable        is told "3 of 40" and the share; and once, from another thread, that
                                kernels are compiled
 

@@ -148,6 +148,7 @@ def facets_in(
     wanted : (q, k) int    corners
     rows : (m, r) int      cells
     kind : str             their type
+    shell : bool           whether triangles and quadrilaterals are shells in space
 
     Returns
     -------
