@@ -374,13 +374,15 @@ def named_groups(mesh: Any) -> dict[str, list[Any]]:
     groups = mesh.cell_data.get(PHYSICAL, mesh.cell_data.get(NETGEN))
     if groups is None:
         return {}
+    there = [set(np.unique(np.abs(group)).tolist()) for group in groups]
     out = {}
     for tags in same_names(mesh.field_data):
         title = next(iter(tags))
         dim = mesh.field_data[title][1]
         out[title] = [np.flatnonzero(np.isin(np.abs(group), [*tags.values()]))
-                      if block.dim == dim else np.zeros(0, dtype=np.int64)
-                      for block, group in zip(mesh.cells, groups, strict=True)]
+                      if block.dim == dim and not own.isdisjoint(tags.values())
+                      else np.zeros(0, dtype=np.int64)
+                      for block, group, own in zip(mesh.cells, groups, there, strict=True)]
     return out
 
 
@@ -439,12 +441,11 @@ def _group(mesh: Any) -> None:
         own = [i for i, block in enumerate(mesh.cells) if block.dim == dim]
         there = [name for name, rows in sets.items() if any(len(rows[i]) for i in own)]
         size = [len(mesh.cells[i].data) for i in own]
-        table = np.zeros((sum(size), len(there) + 1), dtype=np.int64)
-        table[:, 0] = np.repeat(own, size)
-        for j, name in enumerate(there, 1):
+        inside = np.zeros((sum(size), len(there)), dtype=np.bool_)
+        for j, name in enumerate(there):
             start = 0
             for i, count in zip(own, size, strict=True):
-                table[start + sets[name][i], j] = 1
+                inside[start + sets[name][i], j] = True
                 start += count
             title = name if name not in names else f"{name} ({dim}D)"
             names[title] = np.array([len(names) + 1, dim])
@@ -453,9 +454,8 @@ def _group(mesh: Any) -> None:
         if not there:
             continue
         numbers = np.array([names[n][0] for n in names if names[n][1] == dim])
-        inside = table[:, 1:].astype(bool)
         first = np.where(inside.any(axis=1), numbers[inside.argmax(axis=1)], 0)
-        choice = alike([table[:, 0], *inside.T])[1]
+        choice = alike([np.repeat(own, size), *inside.T])[1]
         ends = np.cumsum(size)[:-1]
         for i, tag, entity in zip(own, np.split(first, ends), np.split(choice + 1, ends),
                                   strict=True):

@@ -342,7 +342,7 @@ def _take(out: Any, i: int, local: NDArray[Any], size: int) -> None:
     for values in out.cell_data.values():
         values[i] = np.asarray(values[i])[local]
     for name, members in out.cell_sets.items():
-        if name not in NOT_CELL_INDICES and members[i] is not None:
+        if name not in NOT_CELL_INDICES and members[i] is not None and len(members[i]):
             members[i] = _members(np.asarray(members[i]), local, size)
 
 

@@ -11,7 +11,10 @@ import meshio
 import numpy as np
 import pytest
 
+import odt_plugins
+from odt_plugins.adapters import meshio_mesh
 from odt_plugins.adapters.files import read_file, write_file
+from odt_plugins.adapters.fitting import named_groups
 from odt_plugins.adapters.formats import exodus, exodus_write
 from odt_plugins.adapters.formats.decks import alike
 
@@ -460,3 +463,42 @@ def test_many_sets_do_not_take_the_square_of_their_number(tmp_path):
             sys.setprofile(before)
         assert len(exodus.read(tmp_path / "a.e").cell_sets) == many
     assert calls[1] < 2.5 * calls[0]
+
+
+def in_blocks(many):
+    """A cube whose cells are in as many blocks, each of which is a set and a group of Gmsh."""
+    points, cells = boxes.box(3, 4)
+    rows = np.array_split(cells, many)
+    names = [f"grain{i}" for i in range(many)]
+    none = np.zeros(0, dtype=np.int32)
+    return meshio.Mesh(
+        points, [("tetra", own) for own in rows],
+        cell_sets={name: [np.arange(len(own)) if i == j else none for j, own in enumerate(rows)]
+                   for i, name in enumerate(names)},
+        cell_data={"gmsh:physical": [np.full(len(own), i + 1) for i, own in enumerate(rows)]},
+        field_data={name: np.array([i + 1, 3]) for i, name in enumerate(names)})
+
+
+def test_sets_are_looked_at_in_the_blocks_that_have_some_of_their_cells(monkeypatch):
+    many, asked = 12, []
+    mesh = in_blocks(many)
+
+    def counting(call):
+        def counted(*given, **options):
+            asked.append(call)
+            return call(*given, **options)
+        return counted
+
+    with monkeypatch.context() as patch:
+        patch.setattr(np, "isin", counting(np.isin))
+        groups = named_groups(mesh)
+    assert len(asked) == many
+    asked.clear()
+    monkeypatch.setattr(meshio_mesh, "_members", counting(meshio_mesh._members))
+    out = odt_plugins.remesh(mesh, scale=0.9)
+    assert len(asked) == many
+    for sets in (groups, out.cell_sets):
+        assert [[bool(len(rows)) for rows in members] for members in sets.values()] == (
+            np.eye(many, dtype=bool).tolist())
+    assert [len(own.data) for own in out.cells] == [
+        len(members[i]) for i, members in enumerate(out.cell_sets.values())]
