@@ -66,7 +66,8 @@ class Attempt(NamedTuple):
     mesh : SimplexMesh      the input, with the cells frozen that stay
     sizes : Sizes
     parts : (n,) float64    of what surfaces may use of the envelope
-    relents : bool          whether sizes give way to those that the surface has reached
+    stuck : float           part of the vertices of the surface up to which it may stay finer
+                            without sizes that give way to those it has reached
     share : float           of the envelope within which surfaces are resized, 0 where they stay
     why : str               what the attempt before broke of the promise, "" for the first
     full : int              cells to which they are filled up by good ones where figures are looked
@@ -76,7 +77,7 @@ class Attempt(NamedTuple):
     mesh: SimplexMesh
     sizes: Sizes
     parts: FloatArray
-    relents: bool
+    stuck: float
     share: float = 0.0
     why: str = ""
     full: int = 0
@@ -84,8 +85,8 @@ class Attempt(NamedTuple):
 
 def told_apart(attempt: Attempt) -> bytes:
     """Tells attempts of one call apart that make another mesh: a hash."""
-    mesh, sizes, parts, relents, share, *_ = attempt
-    digest = sha256(np.array([len(mesh.points), relents, share]).tobytes())
+    mesh, sizes, parts, stuck, share, *_ = attempt
+    digest = sha256(np.array([len(mesh.points), stuck, share]).tobytes())
     for values in (mesh.frozen, sizes.values, parts):
         digest.update(values.tobytes())
     return digest.digest()
@@ -146,8 +147,8 @@ def _other_sizes(
     """Sizes that give way to those that the surface has reached, where that changes something, then
     to those of the input.
     """
-    if slides and not attempt.relents and (attempt.sizes.values > CLOSE * local_sizes(mesh)).any():
-        attempt = attempt._replace(relents=True)
+    if slides and attempt.stuck and (attempt.sizes.values > CLOSE * local_sizes(mesh)).any():
+        attempt = attempt._replace(stuck=0.0)
         if not firm:
             return attempt
     sizes = nearer(mesh, attempt.sizes, spoiled)

@@ -11,11 +11,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from odt_plugins.engine.compiled.threads import thread_pool, worth
-from odt_plugins.engine.odt.density import NodalDensity, make_density
-from odt_plugins.engine.odt.rounds import Log
-from odt_plugins.engine.record.figures import figures
-from odt_plugins.engine.record.memory import State
 from odt_plugins.engine.record.progress import in_attempts
 from odt_plugins.engine.remesh.chords import sizes_as_wished
 from odt_plugins.engine.remesh.distance import (
@@ -26,8 +21,7 @@ from odt_plugins.engine.remesh.distance import (
     grounds_of,
     too_far,
 )
-from odt_plugins.engine.remesh.finish import MORE, Resized, Room, finished, sums
-from odt_plugins.engine.remesh.lay_out import lay_out
+from odt_plugins.engine.remesh.finish import MORE, Room, finished, sums
 from odt_plugins.engine.remesh.notes import (
     told_of_edges,
     told_of_fallen,
@@ -43,32 +37,26 @@ from odt_plugins.engine.remesh.number import (
     out_of_reach_told,
 )
 from odt_plugins.engine.remesh.onto import on_smooth
-from odt_plugins.engine.remesh.places import allowed_figures, seen_figures
+from odt_plugins.engine.remesh.places import seen_figures
 from odt_plugins.engine.remesh.remedies import (
     ATTEMPTS,
     EXTREMES,
     HARDLY_COARSER,
     Attempt,
-    crowded,
-    most_given_way,
     nearer,
     remedy,
     told_apart,
 )
+from odt_plugins.engine.remesh.resized import LONGER, Made, with_sizes
 from odt_plugins.engine.remesh.seams import as_sewn, sewn
-from odt_plugins.engine.remesh.sizes import Sizes, local_sizes
+from odt_plugins.engine.remesh.sizes import Sizes
 from odt_plugins.engine.remesh.triangles import resized_triangles
-from odt_plugins.engine.remesh.volume import Resizing, arrays_of, resize
 from odt_plugins.engine.remesh.weld import as_welded, welded
-from odt_plugins.engine.remesh.whole import holds
 from odt_plugins.engine.remesh.wish import Wish
 from odt_plugins.engine.run.judge import envelope_length
 from odt_plugins.engine.run.outcome import Leaving, Outcome, as_it_is, unchanged
-from odt_plugins.engine.run.work import extremes, make_start
 from odt_plugins.errors import InvalidMeshError
 from odt_plugins.mesh.arrays import FloatArray
-from odt_plugins.mesh.faces import Faces, joined, renumbered, without
-from odt_plugins.mesh.numbering import new_numbers
 from odt_plugins.mesh.simplex import SimplexMesh, diagonal, vertices_of
 from odt_plugins.options import Options
 from odt_plugins.progress import part, silent
@@ -79,16 +67,16 @@ SHARES = (0.7, 0.4)
 """Parts of the envelope within which surfaces are resized, one after the other until the promise
 holds; sliding has the rest."""
 
+MOST_STUCK, ALL = 0.5, 1.0
+"""Part of the vertices of a surface up to which it may stay finer than asked for without sizes that
+give way to it; and that part where fewer cells are tried than such sizes make."""
+
+FEWER = 3
+"""Most times that fewer cells are tried."""
+
 HALVINGS, FINER = 2, 1.5
 """Most times that sizes between coarse ones, with which figures fell, and finer ones are tried, and
 multiple of the cells of the coarse ones from which on it is worth it."""
-
-LONGER = 1.11
-"""Sizes are worked with so many times as long, so that edges have them on average."""
-
-Made = tuple[Resized, Log]
-"""What edges of other lengths make of a mesh, and counts."""
-
 
 class Coarse(NamedTuple):
     """What was resized with which figures fell: its sizes, and how many cells they made."""
@@ -180,31 +168,38 @@ def remesh(mesh: SimplexMesh, options: Options, leaving: Leaving, wish: Wish) ->
                 found, notes=told_of_triangles(base, asked, found) + found.notes), None
         return _tetrahedra(mesh, base, tried, options, leaving, course)
 
+    def stiff(tried: Sizes, made: Made | None) -> tuple[Outcome, Broken | None]:
+        own = tried.first(len(mesh.points))
+        return _once(_first(mesh, own, options, ALL), own.values, options, leaving,
+                     Course(lambda _: 0.0), made if base is mesh else None)
+
     goal = goal_of(wish, mesh.dim)
     outcome = (tries(sizes, Course())[0] if goal is None
-               else _towards(goal, base, sizes, options, tries))
+               else _towards(goal, base, sizes, options, tries, stiff))
     return replace(outcome, notes=sizes.notes + outcome.notes)
 
 
 def _towards(
     goal: Goal, mesh: SimplexMesh, sizes: Sizes, options: Options,
     tries: Callable[[Sizes, Course], tuple[Outcome, Attempt | None]],
+    stiff: Callable[[Sizes, Made | None], tuple[Outcome, Broken | None]],
 ) -> Outcome:
     """A mesh with about so many cells or vertices.
 
     Tetrahedra are resized until their number is about right before a mesh is finished and judged;
-    what that changes is corrected then, but where resizing cannot reach the number.
+    what that changes is corrected then, but where resizing cannot reach the number. Where there are
+    more then, sizes that do not give way to a surface make fewer, poorer ones.
     """
     nearest: dict[float, Made] = {}
     best, spent = unchanged(mesh, ""), 0.0
     known: Attempt | None = None
 
-    def resized(factor: float) -> int | None:
+    def resized(factor: float, stuck: float = MOST_STUCK) -> int | None:
         nonlocal spent
         scaled, clock = sizes.scaled(factor), time.perf_counter()
         tick = partial(part(options.progress or silent, 0.0, 0.4), "resizing")
         try:
-            made = _resized(_first(mesh, scaled, options), scaled.values, options, tick)
+            made = with_sizes(_first(mesh, scaled, options, stuck), scaled.values, options, tick)
         except InvalidMeshError:
             return None
         finally:
@@ -232,6 +227,16 @@ def _towards(
         out_of_reach = any(goal.off(made[0].outcome) > ROUGHLY for made in nearest.values())
     factor_towards(
         goal, kept, lambda: math.inf if out_of_reach else ROUGHLY if known else NEAR, factor)
+    more = goal.count(best) > goal.number and goal.off(best) > ROUGHLY
+    if more and mesh.dim == 3 and options.boundary == "slide" and not len(mesh.metric):
+        nearest.clear()
+        factor = factor_towards(goal, partial(resized, stuck=ALL), lambda: ROUGHLY, 1.0)
+        for _ in range(FEWER if factor > 1.0 else 0):
+            outcome, broken = stiff(sizes.scaled(factor), nearest.pop(factor, None))
+            if broken is None:
+                best = min(best, outcome, key=goal.off)
+                break
+            factor = math.sqrt(factor)
     if mesh.dim == 3:
         best = replace(best, times=sums(best.times, {"resizing": spent}))
     if goal.off(best) > NEAR:
@@ -376,10 +381,13 @@ def _less_fine(
     return fine, found
 
 
-def _first(mesh: SimplexMesh, sizes: Sizes, options: Options) -> Attempt:
+def _first(
+    mesh: SimplexMesh, sizes: Sizes, options: Options, stuck: float = MOST_STUCK
+) -> Attempt:
     """The attempt that comes first."""
     share = SHARES[0] if options.boundary == "slide" else 0.0
-    return Attempt(mesh, sizes, np.ones(len(mesh.points)), len(mesh.metric) > 0, share)
+    return Attempt(mesh, sizes, np.ones(len(mesh.points)), 0.0 if len(mesh.metric) else stuck,
+                   share)
 
 
 def _once(
@@ -406,7 +414,7 @@ def _completed(
     clock, report = time.perf_counter(), options.progress or silent
     mesh, share = attempt.mesh, attempt.share
     try:
-        given, log = made or _resized(
+        given, log = made or with_sizes(
             attempt, asked, options, partial(part(report, 0.0, 0.4), "resizing"))
     except InvalidMeshError:
         why = "cells overlap where the surface folded over itself"
@@ -463,68 +471,3 @@ def _judged(attempt: Attempt, done: Done, options: Options) -> tuple[Outcome, Br
         outcome = replace(outcome, slid=slid)
     notes = told_of_edges(outcome, done.length, done.multiple)
     return replace(outcome, notes=notes + done.notes), broken
-
-
-def _resized(
-    attempt: Attempt, asked: FloatArray, options: Options, tick: Any
-) -> Made:
-    """The mesh with edges as long as they should be, and counts."""
-    mesh, sizes, share = attempt.mesh, attempt.sizes, attempt.share
-    start = make_start(mesh)
-    frame = start.frame
-    # lengths in a metric have no unit
-    unit = 1.0 if len(mesh.metric) else frame.scale
-    values = LONGER * sizes.values[frame.vertices] * unit
-    threads = worth(options.threads, max(len(mesh.cells), int(sizes.cells)))
-    with thread_pool(threads) as pool:
-        field = make_density(NodalDensity(values, 1.0), None, start.seen, start.cells, None)
-        length = share * (envelope_length(mesh, options) - mesh.sag) * frame.scale
-        for coarse in (False, True):
-            body, guard, scratch, names = lay_out(
-                start, holds(mesh)[frame.vertices], length * attempt.parts[frame.vertices],
-                options.feature_angle,
-                extremes(allowed_figures(mesh, options), tuple(options.keep)).cells)
-            were = [frame.vertices[s.rows[s.live()]] for s in (body.segments, body.triangles)]
-            log = Log()
-            work = Resizing(body, guard, scratch, field, field.walk_start(len(start.points)), log,
-                            LONGER * local_sizes(mesh)[frame.vertices] * unit, sizes.growth,
-                            attempt.relents, most_given_way(mesh, sizes), crowded(mesh, sizes))
-            if resize(work, share > 0.0, pool, tick, threads, coarse=coarse):
-                break
-        whole = make_density(NodalDensity(LONGER * asked[frame.vertices] * unit, 1.0), None,
-                             start.points, start.cells, None)
-        size = work.body.size[: len(work.walk)]
-        multiple = whole.at(np.ascontiguousarray(work.body.points[: len(size)]), pool,
-                            work.walk.copy()) / size
-    points, cells, tags = arrays_of(work.body)
-    regions = np.unique(start.regions)[tags].astype(np.int32)
-    state = State(points, cells, regions, figures(points, cells), "resized")
-    outcome = start.placed(state)
-    if outcome.origin is None:
-        outcome = replace(outcome, origin=np.arange(len(outcome.points)))
-    n = len(frame.vertices)
-    new = n + np.flatnonzero(np.bincount(cells.ravel(), minlength=len(points))[n:])
-    origin: Any = outcome.origin
-
-    def outside(values: FloatArray, elsewhere: FloatArray) -> FloatArray:
-        """Values at the vertices of the outcome, of those ``elsewhere`` (n,) that are not here."""
-        old = elsewhere.copy()
-        old[frame.vertices] = values[:n]
-        return np.concatenate([old[origin[origin >= 0]], values[new]])
-
-    lengths = outside(size / unit, LONGER * sizes.values)
-    number = np.empty(len(points), dtype=np.int32)
-    number[:n] = new_numbers(origin, len(mesh.points))[frame.vertices]
-    number[new] = len(origin) - len(new) + np.arange(len(new), dtype=np.int32)
-    faces = []
-    for old, rows, label, s in zip(
-            mesh.faces, were, names, (work.body.segments, work.body.triangles), strict=True):
-        live = s.live()
-        live = live[label[s.tag[live]] >= 0]
-        faces.append(joined(
-            renumbered(without(old, rows), new_numbers(origin, len(mesh.points))),
-            Faces(number[s.rows[live]], label[s.tag[live]])))
-    outcome = replace(outcome, faces=(faces[0], faces[1]))
-    lines = number[work.body.segments.rows[work.body.segments.live()]].reshape(-1, 2)
-    multiple = outside(multiple, asked / sizes.values)
-    return Resized(outcome, lengths, multiple, lines, work.firm), log

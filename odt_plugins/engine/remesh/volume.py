@@ -74,9 +74,6 @@ OFF = 0.2
 RELENTING = 2
 """Round after which sizes may give way."""
 
-MOST_STUCK = 0.5
-"""Part of the vertices of the surface beyond which sizes give way without being asked to."""
-
 SLIVER = 0.1
 """Largest radius ratio of a tetrahedron that stage 2 improves between rounds, without a metric."""
 
@@ -98,7 +95,8 @@ class Resizing:
     log : Log
     own : (k,) float64             sizes that the input has
     growth : float                 see Wish
-    relents : bool                 whether sizes give way where the surface stays finer
+    stuck : float                  part of the vertices of the surface up to which it may stay finer
+                                   without sizes that give way
     most : float                   cells, about, beyond which they do not
     crowded : float                cells from which on none are split
     firm : bool                    whether sizes that gave way would change nothing
@@ -112,7 +110,7 @@ class Resizing:
     log: Log
     own: FloatArray
     growth: float
-    relents: bool
+    stuck: float
     most: float
     crowded: float
     firm: bool = True
@@ -131,7 +129,7 @@ class Resizing:
         self.walk = walk
 
     def relent(self) -> None:
-        """Make sizes smaller where the surface stays finer, if asked to or if most of it does.
+        """Make sizes smaller where the surface stays finer, if too much of it does.
 
         Those of a metric stay.
         """
@@ -140,12 +138,12 @@ class Resizing:
         reached = reached_sizes(self.body)
         stuck = np.count_nonzero(np.isfinite(reached))
         surface = np.unique(self.body.triangles.rows[self.body.triangles.live()])
-        if stuck > (0.0 if self.relents else MOST_STUCK) * len(surface):
-            self.relents = True
+        if stuck > self.stuck * len(surface):
+            self.stuck = 0.0
             field = relented(self.field, self.body, reached, self.own, self.growth)
             if cells_of_sizes(field.nodes[:, :3], field.cells, field.nodes[:, 3]) <= self.most:
                 self.field = field
-        self.firm = self.relents or not stuck
+        self.firm = not (self.stuck and stuck)
 
 
 def resize(work: Resizing, slides: bool, pool: Pool | None, tick: Callable[[float], None],

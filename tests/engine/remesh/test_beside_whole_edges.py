@@ -93,7 +93,7 @@ def test_sizes_for_a_number_of_cells_that_cannot_come_are_not_ever_finer(monkeyp
         raise InvalidMeshError("cells overlap")
 
     monkeypatch.setattr(run, "_tetrahedra", tetrahedra)
-    monkeypatch.setattr(run, "_resized", overlapping)
+    monkeypatch.setattr(run, "with_sizes", overlapping)
     odt_plugins.remesh(boxes.box(3, 3), cells=5000)
     assert len(asked) == 2
     assert asked[1] == pytest.approx(asked[0] * 3 ** (-1 / 3))

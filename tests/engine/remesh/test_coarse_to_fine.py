@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial import Delaunay
 
 import odt_plugins
-from odt_plugins.engine.remesh import run
+from odt_plugins.engine.remesh import resized
 from odt_plugins.errors import InvalidMeshError
 from odt_plugins.generate.clouds import ball
 
@@ -25,7 +25,7 @@ def test_cells_that_are_too_flat_to_be_cut_vanish_in_a_coarse_mesh_first() -> No
 
 
 def test_where_a_surface_folds_over_itself_less_of_the_envelope_is_used(monkeypatch) -> None:
-    resize, tried = run.resize, []
+    resize, tried = resized.resize, []
 
     def folding(work, slides, *rest, **more):
         tried.append(slides)
@@ -34,7 +34,7 @@ def test_where_a_surface_folds_over_itself_less_of_the_envelope_is_used(monkeypa
             raise InvalidMeshError(msg)
         return resize(work, slides, *rest, **more)
 
-    monkeypatch.setattr(run, "resize", folding)
+    monkeypatch.setattr(resized, "resize", folding)
     _, report = odt_plugins.remesh_with_report(ball(300), scale=1.0)
     assert len(tried) > 1
     assert report.after.mean_quality > report.before.mean_quality

@@ -9,6 +9,7 @@ import pytest
 from tet_meshes import ball
 
 import odt_plugins
+from odt_plugins.compare.start import stored
 from odt_plugins.engine.remesh import run
 from odt_plugins.engine.remesh.number import NEAR, Goal, factor_towards, goal_of
 from odt_plugins.engine.remesh.sizes import wanted_sizes
@@ -137,13 +138,13 @@ def test_a_poor_tail_counts_but_where_a_metric_gave_other_sizes(monkeypatch, siz
 
 
 def test_the_time_in_which_sizes_are_found_is_told(monkeypatch):
-    resized = run._resized
+    resized = run.with_sizes
 
     def slow(*how):
         time.sleep(0.1)
         return resized(*how)
 
-    monkeypatch.setattr(run, "_resized", slow)
+    monkeypatch.setattr(run, "with_sizes", slow)
     _, report = odt_plugins.remesh_with_report(boxes.box(3, 3), cells=500, threads=1)
     assert report.times["resizing"] >= 0.1
 
@@ -159,8 +160,8 @@ def test_an_input_nearer_to_the_number_does_not_stand_for_a_mesh_that_was_made()
         return (unchanged(mesh, "") if course.brief else made), None
 
     assert goal_of(Wish(cells=goal), 3).off(made) > 0.1
-    assert run._towards(goal_of(Wish(cells=goal), 3), mesh, sizes, options, tries).cells is (
-        made.cells)
+    found = run._towards(goal_of(Wish(cells=goal), 3), mesh, sizes, options, tries, tries)
+    assert found.cells is made.cells
 
 
 @pytest.mark.parametrize("tail", [False, True])
@@ -173,3 +174,16 @@ def test_a_poor_tail_is_reason_for_a_fixed_boundary_where_it_counts(columns, tai
                                                             columns)))
     assert len(cells) > 3000
     assert retreat._may_be_beaten(outcome, Options(), tail=tail) is tail
+
+
+def test_a_surface_that_stays_fine_does_not_make_more_cells_than_a_body_had():
+    """A mesh of TetWild whose surface the envelope keeps as fine as it is, nearly all over."""
+    bone = stored("bone")
+    (_, cells), report = odt_plugins.remesh_with_report(
+        (bone.points, bone.cells), cells=len(bone.cells) // 2)
+    before, after = report.before, report.after
+    assert len(cells) < 0.9 * len(bone.cells)
+    assert after.min_angle >= before.min_angle
+    assert after.max_angle <= before.max_angle
+    for figure in ("min_quality", "p1_quality", "mean_quality"):
+        assert getattr(after, figure) >= getattr(before, figure)

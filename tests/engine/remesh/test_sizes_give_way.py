@@ -128,7 +128,7 @@ def test_sizes_corrected_for_a_number_begin_with_what_kept_the_promise(monkeypat
 
 @pytest.mark.parametrize("thin", [0.03, 0.1])
 def test_no_attempt_repeats_another(monkeypatch, thin):
-    made, tried, real, once = [], [], run._resized, run._once
+    made, tried, real, once = [], [], run.with_sizes, run._once
 
     def resized(*given):
         found = real(*given)
@@ -139,7 +139,7 @@ def test_no_attempt_repeats_another(monkeypatch, thin):
         tried.append(attempt)
         return once(attempt, *more)
 
-    monkeypatch.setattr(run, "_resized", resized)
+    monkeypatch.setattr(run, "with_sizes", resized)
     monkeypatch.setattr(run, "_once", noted)
     points, cells = boxes.box(3, 6)
     odt_plugins.remesh((points * [1.0, 1.0, thin], cells), scale=2)
