@@ -31,6 +31,7 @@ from odt_plugins.errors import (
     InvalidOptionError,
     NotFilledWarning,
     exit_name,
+    plain_values,
     require,
     warn,
 )
@@ -304,6 +305,10 @@ def read_surface(vertices: Any, faces: Any) -> dict[str, Any]:
     if not isinstance(vertices, np.ndarray) or not isinstance(faces, np.ndarray):
         return {}
     for name, array in (("vertices", vertices), ("faces", faces)):
+        plain_values(name, array, InvalidMeshError)
+        if array.dtype.kind == "c":
+            msg = f"{name} have dtype {array.dtype}; expected real numbers, try {name}.real"
+            raise InvalidMeshError(msg)
         if array.size and array.shape[1:] != (3,):
             expected = "(n, 3)" if name == "vertices" else "(m, 3)"
             msg = f"{name} have shape {array.shape}; expected {expected}"

@@ -149,6 +149,12 @@ def test_vertices_in_whole_numbers_are_taken_as_tetwild_takes_them(monkeypatch):
     assert np.array_equal(whole[1], same[1])
 
 
+@pytest.mark.parametrize("kind", [np.uint8, np.uint32, np.uint64])
+def test_faces_may_be_of_unsigned_numbers(stored, kind):
+    odt_plugins.tetrahedralize(CUBE, FACES.astype(kind))
+    np.testing.assert_array_equal(stored[1][0]["faces"], FACES)
+
+
 def test_tetwild_gets_surfaces_far_from_the_origin_as_if_they_were_there(seen):
     mesh = meshio.read(STORED)
     grid, tets, values = background(lambda x: 0.1 + 0.0 * x[:, 0])
@@ -211,6 +217,9 @@ def test_vertices_of_no_face_change_no_lengths(stored, call):
     (lambda v, f: (v, f[:0]), r"the surface has no faces \(8 vertices\); .* one triangle$"),
     (lambda v, f: (v[:, :2], f), r"vertices have shape \(8, 2\); expected \(n, 3\)"),
     (lambda v, f: (v, f.ravel()), r"faces have shape \(36,\); expected \(m, 3\)"),
+    (lambda v, f: (v + 0j, f), r"vertices have dtype complex128; expected real numbers"),
+    (lambda v, f: (np.ma.masked_less(v, 0.5), f), r"vertices has 12 masked values"),
+    (lambda v, f: (v, np.ma.masked_equal(f, 1)), r"faces has \d+ masked values"),
 ])
 def test_surfaces_that_would_end_tetwild_are_refused(spoil, message, monkeypatch):
     monkeypatch.setattr(tetwild, "run_tetwild", lambda given: pytest.fail("TetWild ran"))

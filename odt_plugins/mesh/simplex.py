@@ -310,8 +310,9 @@ def barycentric(corners: FloatArray, x: FloatArray) -> FloatArray:
 
 def vertices_of(cells: NDArray[np.integer]) -> LongArray:
     """Vertices (k,) that cells, or facets, (m, j) have, increasing."""
-    used = np.zeros(int(cells.max(initial=-1)) + 1, dtype=np.bool_)
-    used[cells.astype(np.intp)] = True
+    named = cells.astype(np.intp)
+    used = np.zeros(int(named.max(initial=-1)) + 1, dtype=np.bool_)
+    used[named] = True
     return np.flatnonzero(used)
 
 
