@@ -9,6 +9,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from odt_plugins.adapters.stated import parts_of
 from odt_plugins.distributed.named import MASKS
 from odt_plugins.distributed.versions import versions_here
 from odt_plugins.report.machine import installed_version
@@ -16,10 +17,13 @@ from odt_plugins.report.machine import installed_version
 OF_FILES = ("reference", *MASKS)
 """Options that may be the path of a file."""
 
-BESIDE = {".xdmf": (".h5",), ".xmf": (".h5",), ".mesh": (".sol", ".solb"),
-          ".meshb": (".solb", ".sol"), ".ele": (".node", ".face", ".edge"),
-          ".node": (".ele", ".face", ".edge")}
+BESIDE = {".mesh": (".sol", ".solb"), ".meshb": (".solb", ".sol"),
+          ".ele": (".node", ".face", ".edge"), ".node": (".ele", ".face", ".edge")}
 """Suffixes of files that are read beside one of a suffix, where they are there."""
+
+REFERRING = {".inp": "abaqus", ".bdf": "nastran", ".fem": "nastran", ".nas": "nastran",
+             ".dat": "nastran", ".xdmf": "xdmf", ".xmf": "xdmf"}
+"""Formats of suffixes of files that name others, which are read with them."""
 
 
 def placed(options: Mapping[str, Any]) -> dict[str, Any]:
@@ -35,20 +39,27 @@ def job_key(job: Any) -> str:
     ----------
     job : Job    of :mod:`..batch`
     """
-    source = Path(job.source)
-    beside = [source.with_suffix(suffix) for suffix in BESIDE.get(source.suffix.lower(), ())]
     digest = hashlib.sha256()
-    _add(digest, [source, *(path for path in beside if path.is_file())])
+    _add(digest, _read_with(Path(job.source)))
     options = {name: value for name, value in job.options.items() if name != "threads"}
     for name in OF_FILES:
         if _is_path(name, value := options.get(name)):
-            options[name] = _add(hashlib.sha256(), [Path(str(value))])
+            options[name] = _add(hashlib.sha256(), _read_with(Path(str(value))))
     versions = versions_here()
     if job.tetrahedralize:
         versions["pytetwild"] = installed_version("pytetwild")
     rest = [options, job.name, job.tetrahedralize, job.edge_length, job.levels, job.sizes, versions]
     digest.update(json.dumps(rest, sort_keys=True).encode())
     return digest.hexdigest()
+
+
+def _read_with(path: Path) -> list[Path]:
+    """A file, those beside it, and those that it includes, which are read with it."""
+    suffix = path.suffix.lower()
+    name = REFERRING.get(suffix)
+    beside = [path.with_suffix(other) for other in BESIDE.get(suffix, ())]
+    return [*(parts_of(path, name) if name else [path]),
+            *(other for other in beside if other.is_file())]
 
 
 def _is_path(name: str, value: Any) -> bool:

@@ -480,6 +480,23 @@ def test_keys_name_what_decides_the_result(place):
     assert job_key(jobs[0]) == job_key(Job(path, "p", "a.vtu", {}, timeout=1.0, resume=True))
 
 
+@pytest.mark.parametrize(("name", "text", "other"), [
+    ("a.inp", "*INCLUDE, INPUT=nodes.inc\n*ELEMENT, TYPE=C3D4\n1, 1, 2, 3, 4\n", "nodes.inc"),
+    ("a.bdf", "BEGIN BULK\nINCLUDE 'nodes.inc'\nCTETRA,1,1,1,2,3,4\nENDDATA\n", "nodes.inc"),
+    ("a.xdmf", '<DataItem Format="HDF">b.h5:/data0</DataItem>', "b.h5"),
+    ("a.mesh", "MeshVersionFormatted 2", "a.sol"),
+])
+def test_keys_name_the_files_that_are_read_with_one(place, name, text, other):
+    (place / name).write_text(text)
+    job = Job(str(place / name), "o", name, {})
+    reference = Job(str(place / name), "o", name, {"reference": str(place / name)})
+    keys = set()
+    for bytes_beside in (b"1", b"2"):
+        (place / other).write_bytes(bytes_beside)
+        keys |= {job_key(job), job_key(reference)}
+    assert len(keys) == 4
+
+
 def test_results_never_share_a_place(place):
     for name in ("a.vtu", "a.msh", "inner/a.vtu"):
         write_ball(place / "models" / name, 60)
