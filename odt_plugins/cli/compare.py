@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from odt_plugins.cli.flags import some_number
 from odt_plugins.cli.terminal import check_folder, command_line
 from odt_plugins.compare.cells import BETTER, best_figures, cells_of, marked, seconds
 from odt_plugins.compare.contestants import OURS, Contestant, choose
@@ -45,8 +46,9 @@ CHOSEN_SUITES = ("standard", "large", "tangled", "remesh")
 @click.option("--repeats", type=click.IntRange(min=1), default=3, show_default=True,
               help="Runs of every contestant; fewer where one takes long.")
 @click.option("--time-limit", type=click.FloatRange(min=0.0, min_open=True), default=None,
-              metavar="S", help="Seconds after which a contestant is ended, without import "
-                                "and compilation.  [default: 60, in suites 20 and 900]")
+              metavar="S", callback=some_number,
+              help="Seconds after which a contestant is ended, without import and compilation.  "
+                   "[default: 60, in suites 20 and 900]")
 @click.option("--threads", type=click.IntRange(min=1), default=1, show_default=True,
               help="Threads that a contestant may use.")
 @click.option("--poisson/--no-poisson", default=True, show_default=True,

@@ -217,8 +217,8 @@ def cluster_flags(command: Callable[..., Any]) -> Callable[..., Any]:
                              "odt-plugins[dask].")(command)
 
 
-def _some_number(_: click.Context, flag: click.Parameter, value: float | None) -> float | None:
-    """A limit, which nan is not."""
+def some_number(_: click.Context, flag: click.Parameter, value: float | None) -> float | None:
+    """Give a limit, which nan is not."""
     if value is not None and math.isnan(value):
         msg = "got nan; expected a number"
         raise click.BadParameter(msg, param=flag)
@@ -231,5 +231,5 @@ def limit_flags(command: Callable[..., Any]) -> Callable[..., Any]:
                        ("--min-angle", "Least (dihedral) angle in degrees."),
                        ("--min-quality", "Least radius ratio that a mesh may have.")):
         command = click.option(
-            flag, type=float, default=None, callback=_some_number, help=text)(command)
+            flag, type=float, default=None, callback=some_number, help=text)(command)
     return command

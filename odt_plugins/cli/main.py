@@ -32,6 +32,7 @@ from odt_plugins.cli.flags import (
     refuse,
     refuse_for_kind,
     size_flags,
+    some_number,
     some_option_flags,
     take_sizes,
 )
@@ -310,9 +311,10 @@ def untangle(source: Path, target: Path, rest: Path | None, partial: bool,
 @click.option("--suffix", default=None, metavar=".vtu", help="Format of the results.  [default: "
               "that of the input, .vtu with --tetrahedralize]")
 @click.option("--timeout", type=click.FloatRange(min=0.0, min_open=True), default=None,
-              metavar="S", help="Seconds after which an input is given up.")
-@click.option("--memory-limit", type=click.FloatRange(min=0.0, min_open=True), default=None,
-              metavar="GB", help="Memory that the process of an input may take.")
+              metavar="S", callback=some_number, help="Seconds after which an input is given up.")
+@click.option("--memory-limit", type=click.FloatRange(min=0.0, max=1e9, min_open=True),
+              default=None, metavar="GB", callback=some_number,
+              help="Memory that the process of an input may take.")
 @click.option("--resume", is_flag=True,
               help="Leave results that are there, of the same input, options and versions, and "
                    "failures that had the same limits as well.")

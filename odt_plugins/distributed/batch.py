@@ -211,7 +211,7 @@ def make_jobs(
             raise InvalidOptionError(msg)
         expect_same_kind(one_cell(4) if settings.get("tetrahedralize") else path, name)
         taken.add(str(name))
-        jobs.append(Job(path, os.path.abspath(out), str(name), dict(options), **settings))
+        jobs.append(Job(path, os.path.realpath(out), str(name), dict(options), **settings))
     return jobs
 
 

@@ -64,9 +64,10 @@ def write_summary(
     MissingDependencyError    pyarrow or jinja2 is not installed
     """
     check_summary()
+    place = Path(os.path.realpath(out))
     with (
         writing(f"the summary into {out}", "another folder"),
-        tempfile.TemporaryDirectory(prefix=".summary-", dir=out) as name,
+        tempfile.TemporaryDirectory(prefix=".summary-", dir=place) as name,
     ):
         folder = Path(name)
         (folder / FILES[0]).write_text(to_csv(rows), encoding="utf-8")
@@ -74,7 +75,7 @@ def write_summary(
         page = to_page(rows, command, threads, seconds)
         (folder / FILES[2]).write_text(page, encoding="utf-8")
         for file in FILES:
-            os.replace(folder / file, out / file)
+            os.replace(folder / file, place / file)
 
 
 def to_csv(rows: Sequence[dict[str, Any]]) -> str:

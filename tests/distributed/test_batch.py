@@ -480,6 +480,25 @@ def test_keys_name_what_decides_the_result(place):
     assert job_key(jobs[0]) == job_key(Job(path, "p", "a.vtu", {}, timeout=1.0, resume=True))
 
 
+@pytest.mark.parametrize("through", ["nowhere", "link"])
+def test_results_and_their_summary_lie_in_one_folder(place, through):
+    write_ball(place / "models" / "a.vtu", 60)
+    (place / "models" / "folder").mkdir()
+    (place / "link").symlink_to(place / "models" / "folder")
+    assert cli.main(["batch", "models/a.vtu", "--out", f"{through}/../out", "--no-finish"]) == 0
+    out = place / ("out" if through == "nowhere" else "models/out")
+    assert {"a.vtu", "summary.csv"} <= set(files(out))
+
+
+@pytest.mark.parametrize("flag", [
+    "--timeout=nan", "--memory-limit=nan", "--memory-limit=inf", "--memory-limit=1e12"])
+def test_limits_of_batches_are_numbers(place, capsys, flag):
+    write_ball(place / "models" / "a.vtu", 60)
+    assert cli.main(["batch", "models/a.vtu", "--out", "out", flag]) == 2
+    assert f"Invalid value for '{flag.partition('=')[0]}': " in capsys.readouterr().err
+    assert not (place / "out").exists()
+
+
 @pytest.mark.parametrize(("name", "text", "other"), [
     ("a.inp", "*INCLUDE, INPUT=nodes.inc\n*ELEMENT, TYPE=C3D4\n1, 1, 2, 3, 4\n", "nodes.inc"),
     ("a.bdf", "BEGIN BULK\nINCLUDE 'nodes.inc'\nCTETRA,1,1,1,2,3,4\nENDDATA\n", "nodes.inc"),
