@@ -1,6 +1,7 @@
 """The start of ``odt-plugins``, and of ``python -m odt_plugins``."""
 
 import gc
+import os
 import sys
 
 from odt_plugins.adapters import apart
@@ -12,12 +13,20 @@ RARELY = 50_000
 """Objects of Python that are made between two looks for garbage."""
 
 
+def open_streams() -> None:
+    """Open streams of the process that are closed, so that no file takes their numbers."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.open(os.devnull, os.O_RDWR), mode, encoding="utf-8"))
+
+
 def start() -> int:
     """Let another process load VTK where files need it, while this one loads all the rest.
 
     Nearly all that a command makes stays to its end, so that garbage is looked for rarely, and at
     the exit once.  This is for a process of its own; :func:`main` changes nothing of that.
     """
+    open_streams()
     gc.set_threshold(RARELY)
     command, *words = sys.argv[1:] or [""]
     try:

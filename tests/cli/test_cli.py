@@ -574,6 +574,14 @@ def test_a_run_stopped_while_libraries_are_loaded_says_so() -> None:
     assert (done.returncode, done.stderr) == (1, "odt-plugins: stopped before it began\n")
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="a shell of POSIX closes the streams")
+@pytest.mark.parametrize("closed", ["2>&-", "<&- >&- 2>&-"])
+def test_closed_streams_are_none_to_fail_at(place, closed):
+    command = f'"{sys.executable}" -m odt_plugins optimize in.vtu out.vtu {closed}'
+    assert subprocess.run(command, shell=True, check=False).returncode == 0
+    assert (place / "out.vtu").is_file()
+
+
 def test_a_reader_that_closes_the_pipe_gets_no_traceback(place: Path) -> None:
     read, write = os.pipe()
     os.close(read)
