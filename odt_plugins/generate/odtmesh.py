@@ -59,6 +59,9 @@ every finer one; global steps at the end."""
 FEWEST = 3
 """A triangle."""
 
+ON_RIM = 1001
+"""Points of each side of the box at which the domain must not go on."""
+
 MOST_LATTICE = 30_000_000
 """Most points of the lattice of which the coarse mesh takes some."""
 
@@ -116,9 +119,9 @@ def odtmesh2d(
 
     Raises
     ------
-    InvalidOptionError          fd is nowhere negative, fd or fh give no finite numbers or fh
-                                none above 0, fixed points outside, h0 too large or too small for
-                                the domain, wrong shapes
+    InvalidOptionError          fd is nowhere negative, or beyond bbox as well, fd or fh give no
+                                finite numbers or fh none above 0, fixed points outside, h0 too
+                                large or too small for the domain, wrong shapes
 
     References
     ----------
@@ -240,7 +243,8 @@ def _plan(domain: Domain, h0: float, fixed: FloatArray, most_points: int) -> Pla
 
     Raises
     ------
-    InvalidOptionError    fd is nowhere negative; far too many or too few vertices
+    InvalidOptionError    fd is nowhere negative, or on the rim of the box; far too many or too few
+                          vertices
     """
     width, height = domain.high - domain.low
     spacing = math.sqrt(width * height / PROBES)
@@ -253,6 +257,7 @@ def _plan(domain: Domain, h0: float, fixed: FloatArray, most_points: int) -> Pla
                f"{depth.min():.3g} at ({place})); expected fd < 0 inside the domain, try "
                "a bbox around it")
         raise InvalidOptionError(msg)
+    _expect_within(domain, h0)
     size = domain.size(np.concatenate([samples[depth < 0.0], fixed]))
     least = float(size.min())
     inner = size[: len(size) - len(fixed)]
@@ -268,3 +273,25 @@ def _plan(domain: Domain, h0: float, fixed: FloatArray, most_points: int) -> Pla
                f"domain; expected at least {FEWEST}, try h0={h0 * math.sqrt(count / 50):.2g}")
         raise InvalidOptionError(msg)
     return Plan(least, count)
+
+
+def _expect_within(domain: Domain, h0: float) -> None:
+    """Refuse a domain that goes on beyond the rim of its box, by more than half an edge.
+
+    Raises
+    ------
+    InvalidOptionError    fd is below -h0 / 2 somewhere on the rim
+    """
+    share = np.linspace(0.0, 1.0, ON_RIM)
+    one, other = (low + share * (high - low)
+                  for low, high in zip(domain.low, domain.high, strict=True))
+    rim = np.concatenate([
+        *(np.column_stack([one, np.full(ON_RIM, y)]) for y in (domain.low[1], domain.high[1])),
+        *(np.column_stack([np.full(ON_RIM, x), other]) for x in (domain.low[0], domain.high[0]))])
+    depth = domain.distance(rim)
+    least = int(depth.argmin())
+    if depth[least] < -h0 / 2.0:
+        place = place_within(domain.diagonal, rim[least], 6)
+        msg = (f"got fd = {depth[least]:.3g} at ({place}) on the rim of bbox, so that the domain "
+               "goes on beyond bbox; expected fd < 0 inside bbox alone, try a larger bbox, or -fd")
+        raise InvalidOptionError(msg)

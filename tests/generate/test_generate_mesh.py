@@ -250,6 +250,9 @@ def with_value(value, name="fd"):
 
 GOOD = {"fd": disk, "fh": huniform, "h0": 0.2, "bbox": SQUARE, "pfix": None}
 WRONG = {
+    "beyond": ({"fd": lambda p: disk(p) - 0.5},
+               r"fd = -0\.5 at \(.*\) on the rim of bbox, .* beyond bbox; .* larger bbox"),
+    "turned": ({"fd": lambda p: -disk(p)}, r"on the rim of bbox, .* try a larger bbox, or -fd$"),
     "positive": ({"fd": lambda p: disk(p) + 2}, r"fd without a negative value at \d+ points"),
     "fd nan": ({"fd": with_value(np.nan)}, r"got fd = nan at the point \("),
     "fd inf": ({"fd": with_value(np.inf)}, r"got fd = inf .* finite values"),
