@@ -86,6 +86,9 @@ USUAL = (1e-3, 1e6)
 FAR = 10.0
 """Diagonals from the origin beyond which TetWild gets a surface that begins there."""
 
+OF_TETRAHEDRA = ("density", "metric", "fixed", "selection", "regions")
+"""Options with a value for every vertex or cell, of which there are none before TetWild."""
+
 SIZES = ("size", "scale", "cells", "growth")
 """Arguments of :func:`odt_plugins.remesh` that follow TetWild."""
 
@@ -218,6 +221,13 @@ def _checked(
             raise InvalidOptionError(msg)
         chosen.setdefault("boundary", "slide")
         check_asked(sizes, chosen)
+    for name in OF_TETRAHEDRA:
+        value = (chosen or {}).get(name)
+        if not (value is None or isinstance(value, str) or callable(value)):
+            msg = (f"got {name} of type {type(value).__name__} for a surface, whose vertices and "
+                   f"faces are not those of the tetrahedra; expected none, try {name}= of "
+                   "odt_plugins.optimize on the result")
+            raise InvalidOptionError(msg)
     given.update(read_surface(given["vertices"], given["faces"]))
     if chosen and chosen.get("repair") == "orient":
         from odt_plugins.generate.bodies import outward

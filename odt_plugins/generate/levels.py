@@ -258,11 +258,12 @@ def check_levels(levels: Any, edge_length: Any, options: Mapping[str, Any]) -> N
         msg = (f"got insert={options['insert']}; expected False, try odt_plugins.optimize on the "
                f"result")
         raise InvalidOptionError(msg)
-    density = options.get("density", "keep")
-    if not (isinstance(density, str) or callable(density)):
-        msg = (f"got density as a {type(density).__name__}; expected a name or a callable, since "
-               "the cells are others at every level")
-        raise InvalidOptionError(msg)
+    for name in ("density", "metric"):
+        value = options.get(name)
+        if not (value is None or isinstance(value, str) or callable(value)):
+            msg = (f"got {name} as a {type(value).__name__}; expected a name or a callable, since "
+                   "the vertices and cells are others at every level")
+            raise InvalidOptionError(msg)
 
 
 def _carried(host: HostMesh, fixed: BoolArray, frozen: BoolArray) -> tuple[BoolArray, BoolArray]:

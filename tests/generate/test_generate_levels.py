@@ -342,6 +342,7 @@ def test_what_has_no_meaning_is_refused_with_one_sentence(meshed, monkeypatch):
         (mesh, {"insert": 0.5}, "got insert=0.5"),
         (mesh, {"regions": np.zeros(len(mesh[1]), int)}, "got regions as an array"),
         (mesh, {"density": np.ones(len(mesh[0]))}, "got density as a ndarray"),
+        (mesh, {"metric": np.ones((len(mesh[0]), 6))}, "got metric as a ndarray; .* callable"),
         (sphere, {"surface": sphere}, "got surface for a mesh of triangles"),
         (sphere, {"fixed": [0]}, "got fixed for a mesh of triangles"),
     )
