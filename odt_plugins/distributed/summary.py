@@ -65,6 +65,8 @@ def write_summary(
     """
     check_summary()
     place = Path(os.path.realpath(out))
+    rows = [{name: _sayable(value) for name, value in row.items()} for row in rows]
+    command = _sayable(command)
     with (
         writing(f"the summary into {out}", "another folder"),
         tempfile.TemporaryDirectory(prefix=".summary-", dir=place) as name,
@@ -165,3 +167,10 @@ def totals(rows: Sequence[dict[str, Any]], seconds: float) -> list[tuple[str, st
 
 def _shown(value: Any, form: str) -> str:
     return "" if value is None else format(value, form)
+
+
+def _sayable(value: Any) -> Any:
+    """Write bytes of the name of a file that are no text as numbers."""
+    if not isinstance(value, str):
+        return value
+    return value.encode("utf-8", "backslashreplace").decode()

@@ -480,6 +480,16 @@ def test_keys_name_what_decides_the_result(place):
     assert job_key(jobs[0]) == job_key(Job(path, "p", "a.vtu", {}, timeout=1.0, resume=True))
 
 
+def test_names_of_files_that_are_no_text_are_rows_as_well(place):
+    name = os.fsdecode(b"caf\xe9.vtu")
+    write_ball(place / "models" / name, 60)
+    assert cli.main(["batch", f"models/{name}", "--out", "out", "--quiet", "--no-finish"]) in (0, 1)
+    with (place / "out" / "summary.csv").open(encoding="utf-8", newline="") as file:
+        (row,) = csv.DictReader(file)
+    assert row["result"] == "caf\\udce9.vtu"
+    assert (place / "out" / "summary.html").is_file()
+
+
 @pytest.mark.parametrize("through", ["nowhere", "link"])
 def test_results_and_their_summary_lie_in_one_folder(place, through):
     write_ball(place / "models" / "a.vtu", 60)
