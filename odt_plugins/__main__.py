@@ -1,6 +1,7 @@
 """The start of ``odt-plugins``, and of ``python -m odt_plugins``."""
 
 import gc
+import io
 import os
 import sys
 
@@ -14,10 +15,15 @@ RARELY = 50_000
 
 
 def open_streams() -> None:
-    """Open streams of the process that are closed, so that no file takes their numbers."""
+    """Open streams of the process that are closed, so that no file takes their numbers.
+
+    Characters that the encoding of the output lacks, as that of Windows does, are told by number.
+    """
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
             setattr(sys, name, open(os.open(os.devnull, os.O_RDWR), mode, encoding="utf-8"))
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")
 
 
 def start() -> int:

@@ -574,6 +574,15 @@ def test_a_run_stopped_while_libraries_are_loaded_says_so() -> None:
     assert (done.returncode, done.stderr) == (1, "odt-plugins: stopped before it began\n")
 
 
+def test_characters_that_the_output_lacks_are_told_by_number(place):
+    done = subprocess.run(
+        [sys.executable, "-m", "odt_plugins", "compare", "in.vtu", "--against", "laplacian",
+         "--repeats", "1", "--no-poisson"], env=os.environ | {"PYTHONIOENCODING": "ascii"},
+        capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "written: comparison" in done.stdout
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="a shell of POSIX closes the streams")
 @pytest.mark.parametrize("closed", ["2>&-", "<&- >&- 2>&-"])
 def test_closed_streams_are_none_to_fail_at(place, closed):
