@@ -14,10 +14,11 @@ RARELY = 50_000
 """Objects of Python that are made between two looks for garbage."""
 
 
-def open_streams() -> None:
-    """Open streams of the process that are closed, so that no file takes their numbers.
+def ready_streams() -> None:
+    """Make the standard streams fit for any text.
 
-    Characters that the encoding of the output lacks, as that of Windows does, are told by number.
+    Closed ones are opened, so that no file takes their numbers; characters that the encoding of the
+    output lacks, as that of Windows does, are told by number.
     """
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
@@ -32,7 +33,7 @@ def start() -> int:
     Nearly all that a command makes stays to its end, so that garbage is looked for rarely, and at
     the exit once.  This is for a process of its own; :func:`main` changes nothing of that.
     """
-    open_streams()
+    ready_streams()
     gc.set_threshold(RARELY)
     command, *words = sys.argv[1:] or [""]
     try:

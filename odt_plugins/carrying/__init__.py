@@ -6,10 +6,10 @@ engine does not see is laid aside (``aside``, ``curved``), inverted cells are un
 engine runs; and `follow` (in ``following``) gives arrays, sets and facets to the cells and vertices
 that are there now.
 
-Where they come from is in ``sources``; ``conserve`` gives them the integrals that they had, and
-``integrals`` tells by how much these changed; ``textures`` finds triangles in those of the input,
-``bending`` and ``onto`` put nodes on curved facets and on the geometry of a model; by ``transfer``
-arrays of the caller's own follow, too.
+``sources`` finds the cells of the input from which new cells and vertices take their data.
+``conserve`` gives arrays the integrals that they had, and ``integrals`` tells by how much integrals
+changed. ``textures`` finds where triangles lie on those of the input. ``bending`` puts nodes on
+curved facets, ``onto`` on the geometry of a model. ``transfer`` carries arrays of the caller's own.
 
 Source of integrals: P. E. Farrell et al., Conservative interpolation between unstructured meshes
 via supermesh construction, CMAME 198 (2009) 2632-2642.
