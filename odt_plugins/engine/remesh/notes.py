@@ -45,10 +45,13 @@ def told_of_edges(outcome: Outcome, unit: float, multiple: FloatArray) -> tuple[
     if len(finer):
         most = finer[np.argmax(multiple[finer])]
         place = place_within(diagonal(outcome.points[used]), outcome.points[most])
+        inside = (", and those inside grow from there by growth=, more of which makes fewer, "
+                  "poorer cells")
         notes += (
             f"sizes are smaller than asked for at {counted(len(finer), 'vertex', 'vertices')}, "
             f"{np.median(multiple[finer]):.2g} times in the middle and {multiple[most]:.2g} times "
-            f"at most, near ({place}): the envelope, features or thin parts allow no longer edges",)
+            f"at most, near ({place}): the envelope, features or thin parts allow no longer edges"
+            + ("" if surface[finer].all() else inside),)
     return notes
 
 

@@ -71,7 +71,7 @@ MOST_STUCK, ALL = 0.5, 1.0
 """Part of the vertices of a surface up to which it may stay finer than asked for without sizes that
 give way to it; and that part where fewer cells are tried than such sizes make."""
 
-FEWER = 3
+FEWER = 5
 """Most times that fewer cells are tried."""
 
 HALVINGS, FINER = 2, 1.5
@@ -233,8 +233,8 @@ def _towards(
         factor = factor_towards(goal, partial(resized, stuck=ALL), lambda: ROUGHLY, 1.0)
         for _ in range(FEWER if factor > 1.0 else 0):
             outcome, broken = stiff(sizes.scaled(factor), nearest.pop(factor, None))
-            if broken is None:
-                best = min(best, outcome, key=goal.off)
+            if broken is None or goal.off(outcome) > goal.off(best):
+                best = best if broken else min(best, outcome, key=goal.off)
                 break
             factor = math.sqrt(factor)
     if mesh.dim == 3:

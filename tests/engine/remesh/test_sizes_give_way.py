@@ -10,6 +10,7 @@ import pytest
 from tet_meshes import ball, signed_volumes
 
 import odt_plugins
+from odt_plugins.compare.start import stored
 from odt_plugins.engine.remesh import places as places_module
 from odt_plugins.engine.remesh import remedies, run
 from odt_plugins.engine.remesh.distance import Broken, Kind, astray
@@ -41,6 +42,17 @@ def test_sizes_give_way_everywhere_before_less_of_the_envelope_is_tried(monkeypa
     assert signed_volumes(x, t).min() > 0.0
     assert len(t) < len(cells)
     assert np.isfinite(x).all()
+
+
+def test_growth_makes_fewer_cells_below_a_surface_that_stays_fine_as_the_note_says():
+    bone = stored("bone")
+    made = [odt_plugins.remesh_with_report((bone.points, bone.cells), scale=2, **growth)
+            for growth in ({}, {"growth": 3.0})]
+    (_, many), (_, few) = (mesh for mesh, _ in made)
+    report, poorer = (report for _, report in made)
+    assert len(few) < 0.9 * len(many)
+    assert poorer.after.mean_quality < report.after.mean_quality
+    assert any("growth=, more of which makes fewer, poorer cells" in note for note in report.notes)
 
 
 def test_less_of_the_envelope_is_used_where_the_surface_came_too_far_alone(monkeypatch):
