@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -102,7 +103,8 @@ def out_of_reach_told(goal: Goal, count: int, mesh: SimplexMesh, options: Option
 
 
 def factor_towards(
-    goal: Goal, count: Callable[[float], int | None], near: Callable[[], float], factor: float
+    goal: Goal, count: Callable[[float], int | None], near: Callable[[], float], factor: float,
+    alike: Mapping[float, int] = MappingProxyType({}),
 ) -> float:
     """The factor on sizes, of those that are tried, whose number is nearest; 1 if all fail.
 
@@ -112,6 +114,7 @@ def factor_towards(
     count : callable    the number with a factor, None where there is no result
     near : callable     part of the goal by which the number may be off
     factor : float      to be tried first, then 1 where it fails
+    alike : mapping     numbers with factors, to which those of the same factors are in proportion
     """
     counts: dict[float, int] = {}
     nearest, last, off = factor, factor, math.inf
@@ -132,7 +135,10 @@ def factor_towards(
             break
         if held:
             return nearest if off < 0.0 else _fewest(goal, count, counts)
-        factor = (factor_for(counts, goal.number, goal.dim) if factor in counts
+        first = next(iter(counts))
+        likely = {other: int(number * counts[first] / alike[first])
+                  for other, number in alike.items() if first in alike}
+        factor = (factor_for(likely | counts, goal.number, goal.dim) if factor in counts
                   else math.sqrt(factor * nearest))
         factor = max(factor, FURTHEST ** (-1.0 / goal.dim))
         if factor in counts:

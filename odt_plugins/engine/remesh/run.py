@@ -191,6 +191,7 @@ def _towards(
     more then, sizes that do not give way to a surface make fewer, poorer ones.
     """
     nearest: dict[float, Made] = {}
+    resizings: dict[float, int] = {}
     best, spent = unchanged(mesh, ""), 0.0
     known: Attempt | None = None
 
@@ -208,7 +209,8 @@ def _towards(
         if all(off < goal.off(other.outcome) for other, _ in nearest.values()):
             nearest.clear()
             nearest[factor] = made
-        return goal.count(made[0].outcome)
+        resizings[factor] = goal.count(made[0].outcome)
+        return resizings[factor]
 
     def kept(factor: float) -> int | None:
         nonlocal best, known
@@ -225,8 +227,8 @@ def _towards(
     if mesh.dim == 3:
         factor = factor_towards(goal, resized, lambda: NEAR, factor)
         out_of_reach = any(goal.off(made[0].outcome) > ROUGHLY for made in nearest.values())
-    factor_towards(
-        goal, kept, lambda: math.inf if out_of_reach else ROUGHLY if known else NEAR, factor)
+    factor_towards(goal, kept, lambda: math.inf if out_of_reach else ROUGHLY if known else NEAR,
+                   factor, resizings.copy())
     more = goal.count(best) > goal.number and goal.off(best) > ROUGHLY
     if more and mesh.dim == 3 and options.boundary == "slide" and not len(mesh.metric):
         nearest.clear()

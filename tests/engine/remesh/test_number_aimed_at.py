@@ -51,6 +51,22 @@ def test_where_all_fail_no_further_sizes_are_tried():
     assert asked == [1.5, 1.0]
 
 
+def test_numbers_in_proportion_to_those_sought_spare_a_correction():
+    resized, asked = by_power(10_000, 2.0, 0.3), []
+
+    def count(factor):
+        asked.append(factor)
+        return round(0.9 * resized(factor))
+
+    alike = {factor: resized(factor) for factor in (1.0, 1.3, 1.5)}
+    factor = factor_towards(Goal(10_000, "cells", 3), count, lambda: NEAR, 1.5, alike)
+    assert 0.9 * resized(factor) == pytest.approx(10_000, rel=NEAR)
+    assert len(asked) == 2
+    asked.clear()
+    factor_towards(Goal(10_000, "cells", 3), count, lambda: NEAR, 1.5)
+    assert len(asked) > 2
+
+
 @pytest.mark.parametrize(("goal", "tried"), [(300, 4), (3_000_000, 2)])
 def test_where_other_sizes_change_little_no_further_ones_are_tried(goal, tried):
     counts = {}
