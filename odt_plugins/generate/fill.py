@@ -18,6 +18,7 @@ from odt_plugins.adapters.lengths import NOT_CELL_INDICES
 from odt_plugins.adapters.registry import find_adapter
 from odt_plugins.engine.cells.geometry import boundary_facets
 from odt_plugins.engine.ground.reference import make_reference
+from odt_plugins.engine.topology.adjacency import cell_neighbors
 from odt_plugins.errors import (
     InvalidMeshError,
     InvalidOptionError,
@@ -63,7 +64,7 @@ NO_FIELDS = ("obj:vn", "gmsh:dim_tags")
 """Point arrays of meshio that tell of the surface alone."""
 
 GROUPS = ("gmsh:physical", "gmsh:geometrical")
-"""Labels of Gmsh, in which 0 is none; the tetrahedra are the volume 1."""
+"""Labels of Gmsh, in which 0 is none; the tetrahedra are the volume 1, or that of their body."""
 
 
 def tetrahedralize(vertices: Any, faces: Any = None, *more: Any, **how: Any) -> Any:
@@ -304,10 +305,13 @@ def fill(
         filled = compare(surface, (points, cells), reach)
         if not filled.filled:
             warn(filled.complaint(), NotFilledWarning)
-    mesh = _labelled(points, cells, host, reach)
+    held = label if not levels else None
+    mesh = _labelled(points, cells, host, reach, held)
     if label is not None:
         mesh.cell_data[BODY] = [label] + [np.zeros(len(block.data), dtype=np.int32)
                                           for block in mesh.cells[1:]]
+        for name in mesh.cell_data.keys() & {*GROUPS}:
+            mesh.cell_data[name][0] = label.astype(mesh.cell_data[name][0].dtype)
     return mesh, replace(report, filled=filled), seconds
 
 
@@ -375,8 +379,13 @@ def closest_faces(
     return np.where(distance <= reach, face, np.int32(-1))
 
 
-def _labelled(points: FloatArray, cells: IntArray, host: HostMesh, reach: float) -> Any:
-    """The tetrahedra, beside them their boundary with the data of the faces, if there are any."""
+def _labelled(
+    points: FloatArray, cells: IntArray, host: HostMesh, reach: float, body: IntArray | None
+) -> Any:
+    """The tetrahedra, beside them their boundary with the data of the faces, if there are any.
+
+    Facets between bodies (m,), too, as facets of those with the larger numbers.
+    """
     from meshio import Mesh
 
     surface, blocks = host.source, host.layout
@@ -386,7 +395,10 @@ def _labelled(points: FloatArray, cells: IntArray, host: HostMesh, reach: float)
             if name not in NOT_CELL_INDICES}
     if not arrays and not sets:
         return meshio_mesh.tetrahedra(points, cells)
-    facets = boundary_facets(cells)
+    neighbors = cell_neighbors(cells)
+    if body is not None:
+        neighbors[body[:, None] > body[neighbors]] = -1
+    facets = boundary_facets(cells, neighbors)
     ground = mesh_arrays(host.points, host.cells)
     face = closest_faces(points, facets, ground, reach)
     lost = int((face < 0).sum())
@@ -394,6 +406,12 @@ def _labelled(points: FloatArray, cells: IntArray, host: HostMesh, reach: float)
         stand, have = ("stands", "it has") if lost == 1 else ("stand", "they have")
         msg = (f"{lost} of {counted(len(face), 'triangle')} of the boundary {stand} for no face of "
                f"the surface, as where a hole was closed; {have} no label")
+        warn(msg, ODTWarning)
+    within = int((closest_faces(*ground, (points, facets), reach) < 0).sum())
+    if within:
+        advice = "; try bodies=True" if body is None else ""
+        msg = (f"{within} of {counted(len(ground[1]), 'face')} of the surface have no triangle "
+               f"beside them, as those within another body; their labels do not come{advice}")
         warn(msg, ODTWarning)
     data: dict[str, Any] = {
         name: [_of_cells(name, values, len(cells)), _of_facets(values, face)]

@@ -208,6 +208,36 @@ def test_bodies_within_each_other_keep_what_lies_between(place):
     assert corner.max() == 0.75
 
 
+def test_faces_between_bodies_come_with_their_labels(place, capsys):
+    """The inner cube has sides 7 to 12, and is the second body."""
+    _, made = place
+    made.append(solid((0, 0, 0), n=4))
+    surface = boxes(((0, 0, 0), 1, True), ((0.25, 0.25, 0.25), 0.5, True))
+    side = np.repeat(np.arange(1, 13), 2)
+    meshio.Mesh(surface[0], [("triangle", surface[1])], cell_data={
+        "gmsh:physical": [side], "gmsh:geometrical": [side]}).write("core.msh", "gmsh22")
+    command = ["tetrahedralize", "core.msh", "o.msh"]
+    assert cli.main([*command, "--bodies"]) == 0
+    assert capsys.readouterr().err == ""
+    out = files.read_file("o.msh")
+    label, x = out.cell_data_dict["gmsh:physical"], out.points
+    corners = x[out.cells_dict["tetra"]]
+    middle = corners.mean(axis=1)
+    core = ((middle > 0.25) & (middle < 0.75)).all(axis=1)
+    assert np.array_equal(label["tetra"], np.where(core, 2, 1))
+    rows = out.cells_dict["triangle"]
+    inner = label["triangle"] > 6
+    assert len({tuple(row) for row in np.sort(rows, axis=1).tolist()}) == len(rows)
+    for of_cells, of_faces in ((slice(None), ~inner), (core, inner)):
+        size = np.abs(np.linalg.det(corners[of_cells][:, 1:] - corners[of_cells][:, :1])).sum() / 6
+        assert enclosed(x, rows[of_faces]) == pytest.approx(size)
+    assert set(label["triangle"]) == set(range(1, 13))
+    assert cli.main(command) == 0
+    said = capsys.readouterr().err
+    assert "12 of 24 faces of the surface have no triangle beside them" in said
+    assert "try --bodies" in said
+
+
 def test_an_array_of_that_name_is_not_replaced(place):
     calls, _ = place
     meshio.Mesh(CUBE, [("triangle", FACES)], cell_data={"body": [np.arange(12)]}).write("a.vtu")
