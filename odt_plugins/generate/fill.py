@@ -60,6 +60,21 @@ OF_TOOLKITS = {
 }
 """What to try instead of a mesh of a toolkit, by its package."""
 
+OF_FILES = ("target", "file_format", "binary", "levels", "edge_length", "bodies")
+"""Keywords that a surface of arrays has not."""
+
+OF_PYTETWILD = tuple(name for name in inspect.signature(tetwild.tetrahedralize).parameters
+                     if name not in ("vertices", "faces", "odt", *tetwild.SIZES, *OPTIONS))
+"""Keywords of pytetwild."""
+
+OF_ARRAYS = ("odt", "regions_of", *OF_PYTETWILD)
+"""Keywords that the file of a surface has not."""
+
+INSTEAD = {"edge_length": "edge_length_fac=", "edge_length_fac": "edge_length=",
+           "epsilon": "envelope=", "levels": "odt_plugins.refine((vertices, faces), levels)",
+           "num_threads": "threads="}
+"""What to try where a keyword is for the other of both."""
+
 NO_FIELDS = ("obj:vn", "gmsh:dim_tags")
 """Point arrays of meshio that tell of the surface alone."""
 
@@ -138,9 +153,9 @@ def tetrahedralize(vertices: Any, faces: Any = None, *more: Any, **how: Any) -> 
     Y. Hu, Q. Zhou, X. Gao, A. Jacobson, D. Zorin, D. Panozzo, Tetrahedral meshing in the wild, ACM
     Trans. Graph. 37 (2018), doi:10.1145/3197517.3201353.
     """
+    _expect_kind(vertices, faces, how)
     if isinstance(vertices, str | os.PathLike):
         return _from_file(vertices, faces, *more, **how)[0]
-    _expect_faces(vertices, faces)
     return tetwild.tetrahedralize(vertices, faces, *more, **how)
 
 
@@ -168,20 +183,26 @@ def tetrahedralize_with_report(
     ------
     InvalidOptionError  odt=False, and what :func:`tetrahedralize` raises
     """
+    _expect_kind(vertices, faces, how)
     if isinstance(vertices, str | os.PathLike):
         return _from_file(vertices, faces, *more, **how)
-    _expect_faces(vertices, faces)
     return tetwild.tetrahedralize_with_report(vertices, faces, *more, **how)
 
 
-def _expect_faces(vertices: Any, faces: Any) -> None:
-    """Refuse a single object that is no path."""
-    if faces is None:
+def _expect_kind(vertices: Any, faces: Any, how: Mapping[str, Any]) -> None:
+    """Refuse a single object that is no path, and keywords of arrays with a path, or of files."""
+    path = isinstance(vertices, str | os.PathLike)
+    if faces is None and not path:
         kind = type(vertices)
         hint = OF_TOOLKITS.get(kind.__module__.partition(".")[0], "those of the mesh")
         msg = (f"got a {kind.__name__} as vertices, without faces; expected arrays of both, or the "
                f"path of a file, try {hint}")
         raise UnsupportedMeshError(msg)
+    if other := next((name for name in how if name in (OF_ARRAYS if path else OF_FILES)), ""):
+        kinds = ("arrays", "the path of a file")
+        hint = f", try {INSTEAD[other]}" if other in INSTEAD else ""
+        msg = f"got {other}= with {kinds[path]}; expected it with {kinds[not path]}{hint}"
+        raise InvalidOptionError(msg)
 
 
 def _from_file(
