@@ -456,7 +456,7 @@ def _describe(value: Any) -> Any:
         return dataclasses.asdict(value)
     if callable(value):
         return f"function {getattr(value, '__name__', type(value).__name__)}"
-    if isinstance(value, tuple) and all(isinstance(v, str) for v in value):
+    if isinstance(value, tuple | list) and all(isinstance(v, str) for v in value):
         return list(value)
     array = np.asarray(value)
     return f"{array.dtype} array of shape {array.shape}"

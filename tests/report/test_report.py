@@ -146,6 +146,9 @@ def test_options_are_told_as_plain_values() -> None:
     assert told["density"] == "function rho"
     assert told["fixed"] == "int64 array of shape (3,)"
     assert "progress" not in told
+    for names in (["body", "part"], ("body", "part")):
+        options = Options(regions=names)
+        assert make_report(mesh, outcome(mesh), options).options["regions"] == ["body", "part"]
     assert set(told) == {f.name for f in fields(Options)} - {"progress"}
 
 
