@@ -90,7 +90,7 @@ def _indices(path: Path, option: str, refused: Refused) -> Any:
             values = np.load(path, allow_pickle=False)
         else:
             words = [line.partition("#")[0].split()
-                     for line in path.read_text(encoding="utf-8").splitlines()]
+                     for line in path.read_text(encoding="utf-8-sig").splitlines()]
             values = np.array([int(w) for line in words for w in line], dtype=np.int64)
     except (OSError, ValueError, EOFError) as exc:
         what = " ".join(str(exc).split())

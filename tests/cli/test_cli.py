@@ -141,14 +141,16 @@ def test_the_command_says_which_array_holds_the_regions(
 
 def test_names_of_arrays_and_files_of_indices(place: Path, still: list[Options]) -> None:
     Path("two.txt").write_text("4  # the inner vertex\n\n0\n")
+    Path("marked.txt").write_text("4\r\n0\r\n", encoding="utf-8-sig", newline="")
     np.save("cells.npy", np.array([0, 3]))
     runs = (("--density", "rho"), ("--density", "size"), ("--fixed", "held"),
-            ("--fixed", "two.txt"), ("--selection", "pick"), ("--selection", "cells.npy"))
+            ("--fixed", "two.txt"), ("--fixed", "marked.txt"), ("--selection", "pick"),
+            ("--selection", "cells.npy"))
     for words in runs:
         assert cli.main(["optimize", "in.vtu", "out.vtu", *words]) == 0, words
-    values = [o.density for o in still[:2]] + [o.fixed for o in still[2:4]] + \
-        [o.selection for o in still[4:]]
-    expected = [np.linspace(1, 2, 5), [1, 2, 3, 4], [False] * 4 + [True], [4, 0],
+    values = [o.density for o in still[:2]] + [o.fixed for o in still[2:5]] + \
+        [o.selection for o in still[5:]]
+    expected = [np.linspace(1, 2, 5), [1, 2, 3, 4], [False] * 4 + [True], [4, 0], [4, 0],
                 [True, True, False, False], [0, 3]]
     for value, right in zip(values, expected, strict=True):
         assert np.array_equal(value, right)
