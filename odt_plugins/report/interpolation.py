@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from odt_plugins.errors import InvalidOptionError, expect
+from odt_plugins.errors import InvalidOptionError, UnsupportedMeshError, expect
 from odt_plugins.figures import volumes
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.simplex import vertices_of
@@ -77,7 +77,22 @@ def errors_of_report(report: Any, f: Function) -> InterpolationErrors:
     plane = report.plane
     return InterpolationErrors(*(
         interpolation_errors(points if plane is None else plane.to_space(points), cells, f)
-        for points, cells in report.meshes))
+        for points, cells in meshes_of(report)))
+
+
+def meshes_of(report: Any) -> tuple[tuple[FloatArray, IntArray], ...]:
+    """Points and cells before and after, where a report has them.
+
+    Raises
+    ------
+    UnsupportedMeshError    it is that of a file in pieces
+    """
+    if not report.meshes:
+        msg = ("got a report of a file in pieces, which are never in memory together; expected "
+               "that of one mesh, try reading the pieces as one")
+        raise UnsupportedMeshError(msg)
+    found: tuple[tuple[FloatArray, IntArray], ...] = report.meshes
+    return found
 
 
 def interpolation_errors(points: FloatArray, cells: IntArray, f: Function) -> Errors:

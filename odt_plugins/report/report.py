@@ -200,12 +200,13 @@ class Report:
 
         Raises
         ------
-        UnsupportedMeshError          triangles of a curved surface
+        UnsupportedMeshError          triangles of a curved surface; a mesh in pieces
         MissingDependencyError        scikit-fem is not installed
         """
+        from odt_plugins.report.interpolation import meshes_of
         from odt_plugins.report.worth import Worth, solved
 
-        return Worth(*(solved(points, cells) for points, cells in self.meshes))
+        return Worth(*(solved(points, cells) for points, cells in meshes_of(self)))
 
     def interpolation_error(
         self, f: Callable[[NDArray[np.float64]], ArrayLike]
@@ -223,6 +224,7 @@ class Report:
         Raises
         ------
         InvalidOptionError            f gives anything but one finite real number for every place
+        UnsupportedMeshError          a mesh in pieces
 
         Examples
         --------
@@ -263,7 +265,8 @@ class Report:
         InvalidOptionError               an array of another length, of as many vertices as cells,
                                          or of which some values are masked
         UnsupportedMeshError             values at the points of cells of higher order; a report of
-                                         several meshes, of which each of `parts` has this method
+                                         a mesh in pieces, or of several meshes, of which each of
+                                         `parts` has this method
 
         Examples
         --------
@@ -276,8 +279,11 @@ class Report:
         True
         """
         if self.carrying is None:
-            msg = ("got a report of several meshes or of a file in pieces; expected that of one "
-                   "mesh, try the method of one of its parts")
+            from odt_plugins.report.interpolation import meshes_of
+
+            meshes_of(self)
+            msg = ("got a report of several meshes; expected that of one mesh, try the method of "
+                   "one of its parts")
             raise UnsupportedMeshError(msg)
         carried: NDArray[Any] = self.carrying(values, at)
         return carried

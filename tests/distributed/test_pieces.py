@@ -171,13 +171,17 @@ def test_a_directory_and_a_second_run_onto_the_same_place(tmp_path):
                  size=np.ones(len(turned)))
     bits = []
     for _ in range(3):
-        optimize_file(tmp_path / "in", tmp_path / "out.pvtu", density="uniform")
+        report = optimize_file(tmp_path / "in", tmp_path / "out.pvtu", density="uniform")
         points, cells, _, _ = glued(tmp_path / "out.pvtu", len(start.points))
         assert tet_meshes.signed_volumes(points, cells).max() < 0
         assert len(os.listdir(tmp_path)) == 4
         bits.append((points, cells))
     assert all(np.array_equal(x, y) for other in bits[1:]
                for x, y in zip(bits[0], other, strict=True))
+    for call in (report.worth, lambda: report.interpolation_error(lambda x: x[:, 0]),
+                 lambda: report.transfer(start.points)):
+        with pytest.raises(UnsupportedMeshError, match=r"in pieces, .* try reading"):
+            call()
 
 
 def test_progress_is_told_for_every_piece_of_every_stage(tmp_path, monkeypatch, capsys):
