@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields
 from typing import Any
@@ -28,14 +27,15 @@ HEADINGS = {"unknowns": "unknowns", "condition": "condition number", "cg_steps":
 
 @dataclass(frozen=True)
 class Solved:
-    """Linear elements on one mesh, u = 0 on its boundary.
+    """Linear elements on one mesh, u = 0 on its boundary; all but the unknowns are NaN where cells
+    are inverted or flat.
 
     Attributes
     ----------
     unknowns : int            vertices inside
     condition : float         of the Laplacian's stiffness matrix, estimated from the coefficients
                               of CG (Lanczos); 1 without unknowns
-    cg_steps : int            plain conjugate gradients for -div grad u = 1, from zero to a relative
+    cg_steps : int or NaN     plain conjugate gradients for -div grad u = 1, from zero to a relative
                               residual of 1e-8
     time_step : float         of explicit dynamics with wave speed 1, as its codes choose it: the
                               least altitude of a cell
@@ -46,7 +46,7 @@ class Solved:
 
     unknowns: int
     condition: float
-    cg_steps: int
+    cg_steps: float
     time_step: float
     critical_step: float
 
@@ -78,8 +78,9 @@ class Worth:
         return text_html(str(self))
 
     def to_dict(self) -> dict[str, Any]:
-        """Give both as plain numbers."""
-        return asdict(self)
+        """Give both as plain numbers; None if not finite."""
+        return {mesh: {name: value if np.isfinite(value) else None for name, value in told.items()}
+                for mesh, told in asdict(self).items()}
 
 
 def solved(points: FloatArray, cells: IntArray) -> Solved:
@@ -87,7 +88,7 @@ def solved(points: FloatArray, cells: IntArray) -> Solved:
 
     Parameters
     ----------
-    points : (n, d) float64, cells : (m, d + 1) int    positive
+    points : (n, d) float64, cells : (m, d + 1) int
 
     Raises
     ------
@@ -103,13 +104,17 @@ def solved(points: FloatArray, cells: IntArray) -> Solved:
                "tetrahedra or triangles in the plane, try report.after for its figures")
         raise UnsupportedMeshError(msg)
     require("worth()", "compare", "skfem")
-    stiffness, masses, load, rim = _assembled(points, cells)
+    figures = cell_figures(points, cells)
+    with np.errstate(all="ignore"):
+        stiffness, masses, load, rim = _assembled(points, cells)
     inner = np.setdiff1d(np.arange(len(masses)), rim)
+    if not (figures.volume > 0.0).all():
+        return Solved(len(inner), *4 * [float("nan")])
     steps, condition = 0, 1.0
     if len(inner):
         matrix = stiffness[inner][:, inner].tocsr()
         _, steps, condition = conjugate_gradients(matrix, load[inner])
-    least = float(cell_figures(points, cells).altitude.min())
+    least = float(figures.altitude.min())
     return Solved(len(inner), condition, steps, least, _critical_step(stiffness, masses))
 
 
@@ -121,11 +126,9 @@ def _assembled(points: FloatArray, cells: IntArray) -> tuple[Any, FloatArray, Fl
     flat = cells.shape[1] == 3
     used, rows = np.unique(cells, return_inverse=True)
     rows = rows.reshape(cells.shape)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        shape = skfem.MeshTri if flat else skfem.MeshTet
-        grid = shape(np.ascontiguousarray(points[used].T), np.ascontiguousarray(rows.T))
-        basis = skfem.Basis(grid, skfem.ElementTriP1() if flat else skfem.ElementTetP1())
+    shape = skfem.MeshTri if flat else skfem.MeshTet
+    grid = shape(np.ascontiguousarray(points[used].T), np.ascontiguousarray(rows.T))
+    basis = skfem.Basis(grid, skfem.ElementTriP1() if flat else skfem.ElementTetP1())
     stiffness = skfem.BilinearForm(lambda u, v, w: dot(grad(u), grad(v))).assemble(basis).tocsr()
     load = np.asarray(skfem.LinearForm(lambda v, w: 1.0 * v).assemble(basis))
     # The row sums of the mass matrix, since the hat functions add up to 1.

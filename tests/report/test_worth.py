@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import warnings
+from concurrent.futures import ThreadPoolExecutor
 
 import meshio
 import numpy as np
@@ -97,6 +99,28 @@ def test_a_report_tells_both_and_the_command_prints_it(tmp_path, monkeypatch, ca
     assert str(worth) in capsys.readouterr().out
     assert cli.main(["optimize", "in", "out.pvtu", "--worth"]) == 2
     assert "--worth are for one file each" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("x", [0.0, -0.5])
+def test_inverted_and_flat_cells_have_no_worth(x):
+    points, cells = square(2)
+    points[4, 0] = x
+    worth = odt_plugins.optimize_with_report((points, cells))[1].worth()
+    assert worth.before.unknowns == worth.after.unknowns == 1
+    assert np.isnan([worth.before.condition, worth.before.cg_steps, worth.before.time_step,
+                     worth.before.critical_step, worth.faster]).all()
+    assert worth.after == solved(*square(2))
+    told = json.loads(json.dumps(worth.to_dict(), allow_nan=False))
+    assert told["before"] == dict.fromkeys(told["before"]) | {"unknowns": 1}
+    assert str(worth).count("nan") == 4
+
+
+def test_threads_leave_the_filters_of_warnings():
+    before = list(warnings.filters)
+    with ThreadPoolExecutor(8) as pool:
+        for _ in range(10):
+            list(pool.map(lambda _: solved(*square(4)), range(16)))
+            assert list(warnings.filters) == before
 
 
 def test_surfaces_and_missing_packages_are_told(monkeypatch):
