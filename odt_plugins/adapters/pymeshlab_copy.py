@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from odt_plugins.adapters import pymeshlab_ply
 from odt_plugins.adapters.fields import field_names
 from odt_plugins.adapters.host import Result
+from odt_plugins.adapters.reading import ALONE
 from odt_plugins.errors import DataNotKeptWarning, warn
 
 CUSTOM = {
@@ -253,16 +254,17 @@ def _warn_of_losses(mesh: Any) -> None:
 @contextmanager
 def muted() -> Iterator[None]:
     """Keep what MeshLab's C++ code writes to the process's stdout and stderr from being seen."""
-    saved = []
-    for stream in (1, 2):
-        with suppress(OSError):
-            saved.append((stream, os.dup(stream)))
-    try:
-        with open(os.devnull, "wb") as nowhere:
-            for stream, _ in saved:
-                os.dup2(nowhere.fileno(), stream)
-            yield
-    finally:
-        for stream, copy in saved:
-            os.dup2(copy, stream)
-            os.close(copy)
+    with ALONE:
+        saved = []
+        for stream in (1, 2):
+            with suppress(OSError):
+                saved.append((stream, os.dup(stream)))
+        try:
+            with open(os.devnull, "wb") as nowhere:
+                for stream, _ in saved:
+                    os.dup2(nowhere.fileno(), stream)
+                yield
+        finally:
+            for stream, copy in saved:
+                os.dup2(copy, stream)
+                os.close(copy)

@@ -50,7 +50,7 @@ TRIANGLE = rf"\(\s*+\(\s*+{POINT}(?:\s*+,\s*+{POINT}){{3}}+\s*+\)\s*+\)"
 TIN = rf"\s*+TIN\s*+\((?:\s*+{TRIANGLE}\s*+,?+)*+\s*+\)"
 """Triangles in well-known text, without any second way to match what matched once."""
 
-ALONE = threading.Lock()
+ALONE = threading.RLock()
 """Held while the streams and the warnings of the process are caught: they are there once."""
 
 

@@ -7,13 +7,15 @@ import gc
 import os
 import re
 import tempfile
+import time
+from concurrent.futures import ThreadPoolExecutor
 
 import contract
 import numpy as np
 import pytest
 
 import odt_plugins
-from odt_plugins.adapters.pymeshlab_copy import CUSTOM, custom_attributes, private_copy
+from odt_plugins.adapters.pymeshlab_copy import CUSTOM, custom_attributes, muted, private_copy
 from odt_plugins.adapters.pymeshlab_mesh import move_vertices
 from odt_plugins.adapters.pymeshlab_set import saved_script
 from odt_plugins.errors import (
@@ -693,3 +695,14 @@ def test_register_knows_its_toolkits(monkeypatch):
     monkeypatch.setattr("odt_plugins.errors.find_spec", lambda name: None)
     with pytest.raises(MissingDependencyError, match=r'pip install "odt-plugins\[pymeshlab\]"'):
         odt_plugins.register("pymeshlab")
+
+
+def test_threads_leave_the_streams_of_the_process():
+    def work(_):
+        with muted():
+            time.sleep(1e-3)
+
+    before = [os.fstat(stream).st_ino for stream in (1, 2)]
+    with ThreadPoolExecutor(8) as pool:
+        list(pool.map(work, range(40)))
+    assert [os.fstat(stream).st_ino for stream in (1, 2)] == before
