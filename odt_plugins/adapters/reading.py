@@ -5,11 +5,13 @@ from __future__ import annotations
 import ctypes
 import io
 import re
+import sys
 import tempfile
 import threading
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +54,10 @@ TIN = rf"\s*+TIN\s*+\((?:\s*+{TRIANGLE}\s*+,?+)*+\s*+\)"
 
 ALONE = threading.RLock()
 """Held while the streams and the warnings of the process are caught: they are there once."""
+
+
+HEARD: ContextVar[io.StringIO | None] = ContextVar("HEARD", default=None)
+"""Where a thread that reads a file keeps what is printed."""
 
 
 class Ending(io.FileIO):
@@ -252,8 +258,10 @@ def within(seconds: float, work: Callable[[], Any]) -> Any:
     """
     done: list[Any] = []
     failed: list[BaseException] = []
+    heard = HEARD.get()
 
     def run() -> None:
+        HEARD.set(heard)
         try:
             done.append(work())
         except BaseException as exc:
@@ -276,20 +284,46 @@ def within(seconds: float, work: Callable[[], Any]) -> Any:
 
 @contextmanager
 def remarks() -> Iterator[list[str]]:
-    """Collect what meshio prints and NumPy warns of, one sentence an entry, filled at the end."""
-    text = io.StringIO()
+    """Collect what meshio prints and NumPy warns of, one sentence an entry, filled at the end.
+
+    What other threads print and warn of goes where it did before.
+    """
+    text, caught = io.StringIO(), list[str]()
     found: list[str] = []
+    before: Any = warnings.showwarning
+
+    def heard(message: Any, *more: Any) -> None:
+        if HEARD.get() is text:
+            caught.append(str(message))
+        else:
+            before(message, *more)
+
     with (
-        ALONE, redirect_stdout(text), redirect_stderr(text),
-        warnings.catch_warnings(record=True) as caught,
+        ALONE, redirect_stdout(_Apart(sys.stdout, text)), redirect_stderr(_Apart(sys.stderr, text)),
+        warnings.catch_warnings(),
     ):
         warnings.simplefilter("ignore")
         warnings.simplefilter("always", UserWarning)
         # Where that is no error yet, arrays are shorter than what the file states.
         warnings.filterwarnings("error", "string or file could not be read to its end")
-        yield found
+        warnings.showwarning = heard  # type: ignore[assignment]
+        own = HEARD.set(text)
+        try:
+            yield found
+        finally:
+            HEARD.reset(own)
     found += sentences(text.getvalue())
-    found += dict.fromkeys(re.split(r"\.\s", str(w.message))[0] for w in caught)
+    found += dict.fromkeys(re.split(r"\.\s", said)[0] for said in caught)
+
+
+class _Apart:
+    """A stream of the process that keeps what the thread prints that hears to itself as a text."""
+
+    def __init__(self, stream: Any, text: io.StringIO) -> None:
+        self._stream, self._text = stream or io.StringIO(), text
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._text if HEARD.get() is self._text else self._stream, name)
 
 
 def sentences(text: str) -> list[str]:

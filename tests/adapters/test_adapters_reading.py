@@ -337,3 +337,33 @@ def test_data_that_end_before_their_count_are_refused(tmp_path, monkeypatch):
     reads(monkeypatch, "vtu", reader)
     (tmp_path / "mesh.vtu").write_text("")
     assert "could not be read to its end" in _refused(tmp_path / "mesh.vtu")
+
+
+def test_what_other_threads_say_is_theirs(tmp_path, monkeypatch, capsys):
+    path = _stored("mdpa", tmp_path)
+    begun, said, known = threading.Event(), threading.Event(), files.read_file(path)
+
+    def reader(_path, _name):
+        begun.set()
+        assert said.wait(20)
+        sys.stdout.write("Warning: of the file\n")
+        warnings.warn("of a number", UserWarning, stacklevel=1)
+        return known
+
+    def read():
+        files.read_file(path)
+
+    monkeypatch.setattr(reading, "_read", reader)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        other = threading.Thread(target=read)
+        other.start()
+        assert begun.wait(20)
+        sys.stdout.write("of mine\n")
+        sys.stderr.write("an error of mine\n")
+        warnings.warn("a warning of mine", UserWarning, stacklevel=1)
+        said.set()
+        other.join()
+    assert capsys.readouterr() == ("of mine\n", "an error of mine\n")
+    assert [str(w.message) for w in caught] == [
+        "a warning of mine", f"{path}: of the file", f"{path}: of a number"]
