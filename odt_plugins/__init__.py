@@ -10,12 +10,13 @@ Conventions
   integers, d = 2 or 3; triangles may also have points (n, 3), in one plane or on a curved surface.
 - The caller's object is never changed. The result is of the same type with the same dtypes,
   orientation and data; cells of negative volume come back negative.
-- Vertices keep their index. Cells may be renumbered; those that are still there keep their row
-  and their order.
+- Vertices keep their index, unless they may come and go. Cells may be renumbered; those that are
+  still there keep their row and their order.
 - Boundary vertices and facets stay bit for bit, and so do interfaces between region labels. A
   curved surface stays within `envelope` of the input's instead, and so does the boundary of
   tetrahedra with `boundary="slide"`.
-- No figure in `keep` gets worse: by default least, 1 % and mean quality and both extreme angles.
+- No figure in `keep` gets worse: by default least, 1 % and mean quality, both extreme angles and
+  the share of cells with an angle below 20 degrees.
 - Lengths are in the caller's unit; tolerances are relative to the mesh.
 - The same input and options give the same bits, with any number of threads; what TetWild makes
   differs from run to run.

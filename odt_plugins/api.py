@@ -321,13 +321,19 @@ def _as_it_is(mesh: SimplexMesh, _options: Options, _leaving: Leaving) -> Outcom
 
 
 def quality(mesh: Any) -> QualitySummary:
-    """Sum up the quality of a mesh of any kind that :func:`optimize` takes.
+    """Sum up the quality of one mesh of any kind that :func:`optimize` takes.
 
     Its attribute `cells` has the figures of every cell.
 
     Flat and inverted cells are counted, not refused. Cells of mixed orientation are turned where
     the mesh then fits together, and counted; otherwise a mesh most of whose cells have negative
     volume is turned as a whole.
+
+    Raises
+    ------
+    InvalidMeshError        shapes, indices or coordinates that make no mesh
+    UnsupportedMeshError    an object of another kind, or of several meshes
+    MeshFileError           a file cannot be read
 
     Examples
     --------

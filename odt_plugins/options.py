@@ -237,7 +237,7 @@ class Options:
         "A mesh of the same kind from whose surface, rims and borders the envelope is measured, "
         "and of whose diagonal it is a part: what the mesh is away from it counts, so that "
         "repeated calls do not add up. Unless given, the mesh itself.",
-        python="Any mesh that optimize takes, or the path of one.", flag="A mesh file."))
+        python="Any single mesh that optimize takes, or the path of one.", flag="A mesh file."))
     feature_angle: float = field(default=40.0, metadata=_told(
         "Degrees by which a surface turns at an edge that is kept. Chains of fewer than five such "
         "edges with a loose end count as noise."))

@@ -53,7 +53,7 @@ def metric_from_field(
 
     Parameters
     ----------
-    mesh : object                what :func:`odt_plugins.optimize` takes
+    mesh : object                one mesh of any kind that :func:`odt_plugins.optimize` takes
     values : array, str, list of str or callable
                                  of a field at the vertices: (n,), or (n, c) of one with c
                                  components, whose metrics are intersected; the name of a point
