@@ -14,7 +14,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -91,6 +91,14 @@ OF_TETRAHEDRA = ("density", "metric", "fixed", "selection", "regions")
 
 SIZES = ("size", "scale", "cells", "growth")
 """Arguments of :func:`odt_plugins.remesh` that follow TetWild."""
+
+
+OF_FILES = ("target", "file_format", "binary", "levels", "edge_length", "bodies")
+"""Keywords that the file of a surface has, and arrays have not."""
+
+TWINS = {"edge_length": "edge_length_fac", "edge_length_fac": "edge_length",
+         "epsilon": "envelope", "num_threads": "threads"}
+"""What the other of both calls a keyword."""
 
 
 def asked(**sizes: Any) -> dict[str, Any]:
@@ -274,8 +282,21 @@ def _with_field(
     return chosen
 
 
+def expect_none_of(
+    names: Collection[str], given: Collection[str], these: str, others: str
+) -> None:
+    """Refuse keywords of other surfaces than these."""
+    if wrong := next((name for name in given if name in names), ""):
+        hint = f", did you mean {TWINS[wrong]!r}?" if wrong in TWINS else ""
+        if wrong == "levels":
+            hint = ", try odt_plugins.refine((vertices, faces), levels)"
+        msg = f"got {wrong}= with {these}; expected it with {others}{hint}"
+        raise InvalidOptionError(msg)
+
+
 def _expect_known(options: Mapping[str, Any], own: Mapping[str, Any]) -> None:
     """Refuse keywords that are neither options nor pytetwild's own."""
+    expect_none_of(OF_FILES, options, "arrays", "the path of a file")
     unknown = [name for name in options if name not in OPTIONS]
     if unknown:
         hint = hint_for(unknown[0], [*OPTIONS, *own])

@@ -60,20 +60,12 @@ OF_TOOLKITS = {
 }
 """What to try instead of a mesh of a toolkit, by its package."""
 
-OF_FILES = ("target", "file_format", "binary", "levels", "edge_length", "bodies")
-"""Keywords that a surface of arrays has not."""
-
 OF_PYTETWILD = tuple(name for name in inspect.signature(tetwild.tetrahedralize).parameters
                      if name not in ("vertices", "faces", "odt", *tetwild.SIZES, *OPTIONS))
 """Keywords of pytetwild."""
 
 OF_ARRAYS = ("odt", "regions_of", *OF_PYTETWILD)
 """Keywords that the file of a surface has not."""
-
-INSTEAD = {"edge_length": "edge_length_fac=", "edge_length_fac": "edge_length=",
-           "epsilon": "envelope=", "levels": "odt_plugins.refine((vertices, faces), levels)",
-           "num_threads": "threads="}
-"""What to try where a keyword is for the other of both."""
 
 NO_FIELDS = ("obj:vn", "gmsh:dim_tags")
 """Point arrays of meshio that tell of the surface alone."""
@@ -190,7 +182,7 @@ def tetrahedralize_with_report(
 
 
 def _expect_kind(vertices: Any, faces: Any, how: Mapping[str, Any]) -> None:
-    """Refuse a single object that is no path, and keywords of arrays with a path, or of files."""
+    """Refuse a single object that is no path, and keywords of arrays with a path."""
     path = isinstance(vertices, str | os.PathLike)
     if faces is None and not path:
         kind = type(vertices)
@@ -198,11 +190,8 @@ def _expect_kind(vertices: Any, faces: Any, how: Mapping[str, Any]) -> None:
         msg = (f"got a {kind.__name__} as vertices, without faces; expected arrays of both, or the "
                f"path of a file, try {hint}")
         raise UnsupportedMeshError(msg)
-    if other := next((name for name in how if name in (OF_ARRAYS if path else OF_FILES)), ""):
-        kinds = ("arrays", "the path of a file")
-        hint = f", try {INSTEAD[other]}" if other in INSTEAD else ""
-        msg = f"got {other}= with {kinds[path]}; expected it with {kinds[not path]}{hint}"
-        raise InvalidOptionError(msg)
+    if path:
+        tetwild.expect_none_of(OF_ARRAYS, how, "the path of a file", "arrays")
 
 
 def _from_file(
