@@ -9,7 +9,7 @@ import numpy as np
 from odt_plugins.adapters import pyvista_mesh
 from odt_plugins.api import optimize, optimize_with_report, quality
 from odt_plugins.errors import UnsupportedMeshError
-from odt_plugins.figures import QualitySummary, radius_ratio
+from odt_plugins.figures import QualitySummary
 from odt_plugins.keywords import OptionKeywords, with_option_signature
 from odt_plugins.remeshing import remesh
 from odt_plugins.tetwild import tetrahedralize
@@ -80,14 +80,15 @@ class OdtAccessor(_Accessor):
     def cell_quality(self) -> Any:
         """Copy the mesh and add the cell array "odt_radius_ratio".
 
-        It is d r / R (5.1): 1 for a regular cell, 0 for a flat one, NaN for cells that are not
-        optimised, such as lines.
+        It is d r / R (5.1): 1 for a regular cell, 0 for a flat one, negative for an inverted one,
+        NaN for cells that are not optimised, such as lines.
         """
         host = pyvista_mesh.read(self._mesh)
         out = self._mesh.copy(deep=True)
         values = np.full(out.n_cells, np.nan)
         ids = pyvista_mesh.optimised_cells(host)
-        values[ids] = np.abs(radius_ratio(host.points, host.cells))
+        figures: Any = quality(self._mesh).cells
+        values[ids] = figures.quality
         out.cell_data[RATIO] = values
         return out
 

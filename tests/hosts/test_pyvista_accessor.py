@@ -55,6 +55,16 @@ def test_the_options_are_those_of_optimize():
         contract.HOSTS["pyvista-tet"].make().odt.optimize(thread=3)
 
 
+def test_cell_quality_is_that_of_quality():
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [1.5, 0.5, 0]])
+    faces = np.array([[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]])
+    for turned in (faces, faces[:, ::-1]):
+        mesh = pyvista.PolyData.from_regular_faces(points, turned)
+        values = mesh.odt.cell_quality().cell_data["odt_radius_ratio"]
+        assert np.array_equal(np.sign(values), [1, -1, 1, 1])
+        assert values.min() == mesh.odt.quality().min_quality
+
+
 def test_cell_quality_is_an_array_on_a_copy():
     corner = np.array([[0.0, 0, 0], [1, 1, 0], [1, 0, 1], [0, 1, 1], [1, 1, 1]])
     flat = [2, 0, 1, 4, 0, 2, 1, 3, 4, 1, 2, 3, 4]
