@@ -271,7 +271,7 @@ def test_the_report_of_arrays_tells_of_tetwild(place):
 
 @pytest.mark.parametrize(("given", "said"), [
     ((CUBE, FACES, {"levels": 1}), r"got levels= with arrays; .* try odt_plugins.refine\("),
-    ((CUBE, FACES, {"edge_length": 0.2}), r"got edge_length= with arrays; .* mean 'edge_length_fac'"),
+    ((CUBE, FACES, {"edge_length": 0.2}), r"edge_length= with arrays; .* mean 'edge_length_fac'"),
     ((CUBE, FACES, {"target": "out.vtu"}), "expected it with the path of a file$"),
     (("in.stl", None, {"edge_length_fac": 0.2}), "it with arrays, did you mean 'edge_length'"),
     (("in.stl", None, {"odt": False}), "got odt= with the path of a file; expected it with arrays"),
