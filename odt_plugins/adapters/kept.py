@@ -25,7 +25,7 @@ from odt_plugins.mesh.facets import directed_facets, facets_within, row_keys
 from odt_plugins.mesh.periodic import periodic_triangles
 from odt_plugins.mesh.simplex import SimplexMesh, freeze, with_same_cells
 from odt_plugins.mesh.soup import HELD, hold_twins, told_of_twins, twins
-from odt_plugins.mesh.surface import disagreeing_edges
+from odt_plugins.mesh.surface import disagreeing_edges, ways_out
 
 NAMED = 5
 """Most places that a note names."""
@@ -458,8 +458,7 @@ def hold_places(
         edges = disagreeing_edges(mesh)
         if len(edges):
             notes.append(f"cells disagree about the outside at {counted(len(edges), 'edge')} "
-                         f"({_places(mesh, edges)}) and stay there; try repair='orient', or "
-                         f"removing them")
+                         f"({_places(mesh, edges)}) and stay there; try {ways_out(mesh)}")
     return mesh, tuple(host.words(note) for note in notes)
 
 

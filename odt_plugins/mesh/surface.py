@@ -154,6 +154,12 @@ def disagreeing_edges(mesh: SimplexMesh) -> IntArray:
     return edges.vertices[opposed(edges)]
 
 
+def ways_out(mesh: SimplexMesh) -> str:
+    """What helps where triangles disagree about the outside."""
+    turned = to_turn(mesh.cells, surface_edges(mesh.cells, len(mesh.points)))
+    return "removing them" if turned is None else "repair='orient', or removing them"
+
+
 def opposed(edges: Edges) -> NDArray[np.intp]:
     """Edges of two triangles that run through them the same way."""
     ways = np.bincount(edges.of_cell.ravel(), edges.forward.ravel(), minlength=len(edges.degree))

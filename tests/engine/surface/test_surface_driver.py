@@ -412,6 +412,7 @@ def test_orientation_is_put_right_on_demand_only():
     points, strip = sm.moebius()
     _, report = odt_plugins.optimize_with_report((points, strip), repair="orient")
     assert "disagree about the outside" in str(report)
+    assert "and stay there; try removing them" in str(report)
     strip[::7] = strip[::7, [0, 2, 1]]
     with pytest.raises(InvalidMeshError, match="Moebius strip, non-orientable; expected two sides"):
         odt_plugins.optimize((points, strip), repair="orient")
