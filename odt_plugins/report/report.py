@@ -253,11 +253,11 @@ class Report:
 
         Returns
         -------
-        (n', ...) or (m', ...)           of the result, in the same type. Floating-point numbers at
-                                         vertices that moved or came are interpolated linearly if
-                                         the option `fields` of the run interpolates, others stay
-                                         with their vertices; cells have the values of the cell
-                                         that `cell_origin` names. With fields="conserve" integrals
+        (n', ...) or (m', ...)           of the result, in the same type. Floating-point numbers and
+                                         colours in bytes are interpolated linearly at vertices that
+                                         moved or came if the option `fields` of the run does so,
+                                         others stay with their vertices; cells have those of that
+                                         which `cell_origin` names. With fields="conserve" integrals
                                          stay
 
         Raises
