@@ -98,7 +98,8 @@ def wanted_sizes(mesh: SimplexMesh, wish: Wish, given: Any = None) -> Sizes:
     Raises
     ------
     InvalidOptionError    lengths that are not finite and positive, or of wrong number; sizes below
-                          LEAST of the diagonal; more cells than ``wish.most_cells``
+                          LEAST of the diagonal, unless the input has them; more cells than
+                          ``wish.most_cells``
     """
     used, extent = mesh.used, mesh.extent
     notes = []
@@ -119,7 +120,7 @@ def wanted_sizes(mesh: SimplexMesh, wish: Wish, given: Any = None) -> Sizes:
         values *= (expected_cells(mesh, values) / goal) ** (1.0 / d)
     elif not len(mesh.metric):
         low = used[np.argmin(values[used])]
-        if values[low] < LEAST * extent:
+        if values[low] < LEAST * extent and (wish.scale or 0.0) < 1.0:
             msg = (f"got size {values[low]:.3g} at vertex {low}, below {LEAST:g} of the diagonal "
                    f"of {extent:.3g}; expected lengths in the unit of the points, try scale=1 for "
                    f"those of the mesh")

@@ -156,6 +156,17 @@ def test_sizes_that_mean_nothing_are_refused_with_a_sentence(mesh, size, said):
         odt_plugins.remesh(mesh, size(len(points), len(cells)))
 
 
+def test_a_small_part_far_from_another_one_is_no_reason_to_refuse_its_own_sizes(mesh):
+    points, cells = mesh
+    both = np.vstack([points, 1e3 + 1e-7 * points]), np.vstack([cells, len(points) + cells])
+    with pytest.raises(InvalidOptionError, match=r"below 1e-06 of the diagonal.* scale=1 for"):
+        odt_plugins.remesh(both, scale=0.9)
+    (x, t), _ = odt_plugins.remesh_with_report(both, scale=1.0)
+    small = x[t[:, 0], 0] > 500.0
+    assert 0.3 * len(cells) < np.count_nonzero(small) < 2.0 * len(cells)
+    assert odt_plugins.quality((x, t)).mean_quality > odt_plugins.quality(mesh).mean_quality - 0.05
+
+
 def test_a_few_sizes_that_are_smaller_are_no_share_of_zero():
     points, cells = boxes.box(3, 9)
     lengths = np.where(points.sum(axis=1) == 0.0, 0.255, 0.3)
