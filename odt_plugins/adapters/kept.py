@@ -409,14 +409,6 @@ def _note_inside(
     return (host.words(f"{counted(count, what)} beside the {cells}, inside of a region, {told}"),)
 
 
-def notes_on_sets(kept: tuple[KeptCells, ...], fixed: BoolArray) -> tuple[str, ...]:
-    """Say which vertices stay, of those ``fixed`` (n,), that sets, the file or cells name."""
-    stay = {True: "stays where it is", False: "stay where they are"}
-    return tuple(f"{counted(len(rows), kind, kind.replace('vertex', 'vertices'))} "
-                 f"{stay[len(rows) == 1]}" for kind, rows, *_ in kept
-                 if kind.startswith((SET_VERTEX, NAMED_VERTEX, CELL_VERTEX)) and fixed[rows].all())
-
-
 def hold_places(
     mesh: SimplexMesh, host: HostMesh, *, periodic: bool, resized: bool
 ) -> tuple[SimplexMesh, tuple[str, ...]]:

@@ -25,15 +25,10 @@ from odt_plugins.adapters.host import (
     with_places,
     words_of,
 )
-from odt_plugins.adapters.kept import (
-    hold_charts,
-    hold_kept,
-    hold_places,
-    notes_on_sets,
-    protect_surface,
-)
+from odt_plugins.adapters.kept import hold_charts, hold_kept, hold_places, protect_surface
 from odt_plugins.adapters.regions import AUTO, CHARTS, are_names
 from odt_plugins.adapters.registry import find_adapter
+from odt_plugins.adapters.staying import note_kept
 from odt_plugins.adapters.wedges import glued, with_seams, without_seams
 from odt_plugins.carrying.aside import (
     note,
@@ -335,7 +330,7 @@ def _checked(
             surface = hold_charts(surface, host.blocks)
         surface, notes = hold_places(
             surface, host, periodic="periodic" not in options.free, resized=resized)
-        notes += notes_on_sets(host.kept, surface.fixed)
+        notes += note_kept(surface, host, resized)
         return Prepared(adapter, host, None, surface, 1, notes=notes)
     tangled = False
     try:
@@ -355,7 +350,7 @@ def _checked(
         simplices, more = hold_places(
             simplices, host, periodic="periodic" not in options.free, resized=resized)
         notes += more
-    notes += notes_on_sets(host.kept, simplices.fixed)
+    notes += note_kept(simplices, host, resized)
     work = Prepared(adapter, host, frame, simplices, orientation, notes=notes)
     return _untangled(work, options, wanted) if tangled or wanted.rest is not None else work
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from gmsh_sessions import group_sizes, session, two_solids
 
-from odt_plugins import remesh
+from odt_plugins import remesh, remesh_with_report
 from odt_plugins.adapters.files import read_file, write_file
 
 SIZES = {"line": 2, "triangle": 3, "tetra": 4}
@@ -118,6 +118,28 @@ def test_numbers_that_tell_every_triangle_apart_hold_them():
         np.testing.assert_array_equal(after.cell_data["number"][i], before.cell_data["number"][i])
         middle = [x.points[x.cells[i].data].mean(axis=1) for x in (before, after)]
         assert np.abs(middle[0] - middle[1]).max() < 0.2
+
+
+@pytest.mark.parametrize("curved", [False, True])
+def test_the_report_tells_of_lines_that_have_no_others_like_them(curved):
+    points, cells = boxes.box(2, 8)
+    points = np.pad(np.asarray(points, dtype=float), ((0, 0), (0, 1)))
+    points[:, 2] = curved * 0.01 * points[:, 0] ** 2
+    edges = np.sort(cells[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    every, count = np.unique(edges, axis=0, return_counts=True)
+    rim = every[count == 1]
+    kinds = np.ones(len(rim), dtype=int)
+
+    def notes(blocks, data):
+        mesh = meshio.Mesh(points, [("triangle", cells), *(("line", rows) for rows in blocks)],
+                           cell_data={"tag": [np.ones(len(cells), dtype=int), *data]})
+        return "; ".join(remesh_with_report(mesh, scale=2)[1].notes)
+
+    assert "lines beside" not in notes([rim], [kinds])
+    count = len(rim)
+    assert f"{count} lines beside the triangles stay" in notes([rim], [np.arange(count)])
+    alone = notes(np.split(rim, count), np.split(kinds, count))
+    assert f"most of the {count} lines beside the triangles have no other" in alone
 
 
 @pytest.mark.parametrize("kind", [float, np.float32, str, object])

@@ -1,0 +1,43 @@
+"""What is told of vertices, lines and triangles beside the cells that stay where others do not."""
+
+from __future__ import annotations
+
+from odt_plugins.adapters.host import CELL_VERTEX, NAMED_VERTEX, SET_VERTEX, HostMesh
+from odt_plugins.errors import counted
+from odt_plugins.mesh.simplex import SimplexMesh
+
+
+def note_kept(mesh: SimplexMesh, host: HostMesh, resized: bool) -> tuple[str, ...]:
+    """Say which vertices stay, of those that sets, the file or cells name, and which faces do.
+
+    Parameters
+    ----------
+    mesh : SimplexMesh    what stays of it is `fixed`, faces that may become others are `faces`
+    host : HostMesh       that it comes from
+    resized : bool        whether faces become others
+    """
+    stay = {True: "stays where it is", False: "stay where they are"}
+    notes = tuple(f"{counted(len(rows), kind, kind.replace('vertex', 'vertices'))} "
+                  f"{stay[len(rows) == 1]}" for kind, rows, *_ in host.kept
+                  if kind.startswith((SET_VERTEX, NAMED_VERTEX, CELL_VERTEX))
+                  and mesh.fixed[rows].all())
+    return notes + _notes_on_faces(mesh, host) if resized else notes
+
+
+def _notes_on_faces(mesh: SimplexMesh, host: HostMesh) -> tuple[str, ...]:
+    """Say which lines and triangles become no others, or hardly, as each has no other like it."""
+    notes = []
+    cells = "tetrahedra" if mesh.cells.shape[1] == 4 else "triangles"
+    for what, size in (("line", 2), ("triangle", 3)):
+        own = sum(len(rows) for _, rows, classes, labels, ids, _ in host.kept
+                  if rows.shape[1] == size and classes is None and not host.higher_order
+                  and labels is not None and ids is not None)
+        if own:
+            notes.append(f"{counted(own, what)} beside the {cells} stay{'s' * (own == 1)}, since "
+                         f"most have a number of their own in an array; try to leave it out")
+        labels = mesh.faces[size - 2].labels
+        if 2 * len(set(labels.tolist())) > max(len(labels), 2):
+            notes.append(f"most of the {counted(len(labels), what)} beside the {cells} have no "
+                         f"other of the same block or entity, sets and numbers, and their ends "
+                         f"stay; try to put those that belong together into one")
+    return tuple(host.words(note) for note in notes)
