@@ -209,7 +209,8 @@ def make_jobs(
             msg = (f"got {out} for the results, where {name} would take the place of an input; "
                    "expected another folder")
             raise InvalidOptionError(msg)
-        expect_same_kind(one_cell(4) if settings.get("tetrahedralize") else path, name)
+        if suffix or filled:
+            expect_same_kind(one_cell(4) if filled else path, name)
         taken.add(str(name))
         jobs.append(Job(path, os.path.realpath(out), str(name), dict(options), **settings))
     return jobs

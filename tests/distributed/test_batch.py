@@ -854,3 +854,12 @@ def test_a_scene_is_refused_before_any_work_where_its_result_is_to_be_a_mesh(tmp
     assert make_jobs(paths, tmp_path / "out", {})[0].name == "a.glb"
     with pytest.raises(MeshFileError, match=r"cannot write a scene to a\.vtu; try a \.glb file"):
         make_jobs(paths, tmp_path / "out", {}, suffix=".vtu")
+
+
+def test_a_file_without_a_suffix_of_a_mesh_is_a_row_and_the_others_are_done(place, capsys):
+    write_ball(place / "models" / "a.vtu", 60)
+    (place / "models" / "readme.txt").write_text("of what is here")
+    assert cli.main(["batch", "models/*", "--out", "out"]) == 1
+    assert "1 ok, 1 failed" in capsys.readouterr().out
+    assert (place / "out" / "a.vtu").is_file()
+    assert "readme.txt has no suffix of a mesh file" in (place / "out/summary.csv").read_text()
