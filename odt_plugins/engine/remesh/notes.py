@@ -14,11 +14,14 @@ from odt_plugins.engine.surface.judge import values_on
 from odt_plugins.errors import counted, place_within
 from odt_plugins.mesh.arrays import FloatArray
 from odt_plugins.mesh.simplex import SimplexMesh, diagonal, vertices_of
-from odt_plugins.options import Options
+from odt_plugins.options import OPTIONS, Options
 from odt_plugins.promise.good import fallen_since
 
 IN = (0.5**0.5, 2.0**0.5)
 """Edges whose length is within these multiples of their size have it."""
+
+OF_TETRAHEDRA = ("method", "smoothing", "finish", "objective")
+"""Options that say how vertices of tetrahedra move once these have their sizes."""
 
 
 def told_of_edges(outcome: Outcome, unit: float, multiple: FloatArray) -> tuple[str, ...]:
@@ -73,6 +76,17 @@ def told_of_triangles(base: SimplexMesh, asked: FloatArray, outcome: Outcome) ->
         place = place_within(diagonal(outcome.points), outcome.points[far].mean(axis=0))
         note += f", most of all near ({place})"
     return (note,)
+
+
+def told_of_unused(options: Options) -> tuple[str, ...]:
+    """Which options were given that have a part in the moves of tetrahedra alone."""
+    given = [f"{name}=" for name in OF_TETRAHEDRA
+             if getattr(options, name) != OPTIONS[name].default]
+    if not given:
+        return ()
+    one = "has" if len(given) == 1 else "have"
+    return (f"{' and '.join(given)} {one} no part in other sizes of triangles, which are improved "
+            f"by their radius ratios",)
 
 
 def told_of_fallen(mesh: SimplexMesh, found: Outcome, options: Options) -> Outcome:

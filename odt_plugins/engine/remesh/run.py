@@ -27,6 +27,7 @@ from odt_plugins.engine.remesh.notes import (
     told_of_fallen,
     told_of_frozen,
     told_of_triangles,
+    told_of_unused,
 )
 from odt_plugins.engine.remesh.number import (
     NEAR,
@@ -153,6 +154,7 @@ def remesh(mesh: SimplexMesh, options: Options, leaving: Leaving, wish: Wish) ->
     if small is not None:
         return as_welded(mesh, small, options, leaving, partial(remesh, wish=wish))
     base, sizes = sizes_as_wished(mesh, options, wish)
+    unused = told_of_unused(options) if mesh.dim == 2 else ()
     options = replace(
         options, density="keep", smoothing=replace(options.smoothing, exponent=None), insert=False)
     if mesh.frozen.all() or not len(mesh.cells):
@@ -176,7 +178,7 @@ def remesh(mesh: SimplexMesh, options: Options, leaving: Leaving, wish: Wish) ->
     goal = goal_of(wish, mesh.dim)
     outcome = (tries(sizes, Course())[0] if goal is None
                else _towards(goal, base, sizes, options, tries, stiff))
-    return replace(outcome, notes=sizes.notes + outcome.notes)
+    return replace(outcome, notes=unused + sizes.notes + outcome.notes)
 
 
 def _towards(

@@ -183,3 +183,14 @@ def test_the_report_says_what_was_done_instead(mesh):
     (x, _), report = odt_plugins.remesh_with_report(mesh, 1e3, envelope=0.01)
     assert any("larger than the domain" in note for note in report.notes)
     assert len(x) <= len(points)
+
+
+@pytest.mark.parametrize(("given", "named"), [
+    ({"method": "cpt", "objective": "amips"}, "method= and objective= have no part"),
+    ({"smoothing": {"rounds": 3}}, "smoothing= has no part"), ({"finish": False}, "finish= has no"),
+    ({"method": "odt", "objective": "radius_ratio", "smoothing": {}}, "")])
+def test_the_report_names_options_that_have_no_part_in_sizes_of_triangles(mesh, given, named):
+    dim = mesh[1].shape[1] - 1
+    notes = "; ".join(odt_plugins.remesh_with_report(mesh, scale=1.5, **given)[1].notes)
+    assert ("no part in other sizes" in notes) == (dim == 2 and named != "")
+    assert dim == 3 or named in notes
