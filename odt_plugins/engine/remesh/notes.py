@@ -13,6 +13,8 @@ from odt_plugins.engine.surface.in_plane import in_space
 from odt_plugins.engine.surface.judge import values_on
 from odt_plugins.errors import counted, place_within
 from odt_plugins.mesh.arrays import FloatArray
+from odt_plugins.mesh.facets import row_keys
+from odt_plugins.mesh.numbering import new_numbers
 from odt_plugins.mesh.simplex import SimplexMesh, diagonal, vertices_of
 from odt_plugins.options import OPTIONS, Options
 from odt_plugins.promise.good import fallen_since
@@ -58,18 +60,30 @@ def told_of_edges(outcome: Outcome, unit: float, multiple: FloatArray) -> tuple[
     return notes
 
 
-def told_of_triangles(base: SimplexMesh, asked: FloatArray, outcome: Outcome) -> tuple[str, ...]:
+def told_of_triangles(
+    mesh: SimplexMesh, base: SimplexMesh, asked: FloatArray, outcome: Outcome
+) -> tuple[str, ...]:
     """How many edges of triangles are as long as asked for, and where they are furthest from it.
 
-    ``asked`` (n,) are the lengths at the vertices of the base.
+    Edges of cells of the mesh that are frozen do not count. ``asked`` (n,) are the lengths at the
+    vertices of the base.
     """
     edges = unique_edges(outcome.cells)
+    every = len(edges)
+    if outcome.origin is not None and mesh.frozen.any():
+        still = new_numbers(outcome.origin, len(mesh.points))[mesh.cells[mesh.frozen]]
+        both = np.concatenate([edges, unique_edges(still)])
+        key = row_keys(both, int(both.max()) + 1)
+        edges = edges[~np.isin(key[:every], key[every:])]
+    if not len(edges):
+        return ()
+    changing = " that may change" if len(edges) < every else ""
     size = values_on(in_space(base.points), base.cells, asked, in_space(outcome.points))
     ratio = lengths_of(outcome.points, edges, outcome.metric) / (0.5 * size[edges].sum(axis=1))
     short, long = ratio < IN[0], ratio > IN[1]
-    note = (f"{(~short & ~long).mean():.1%} of the edges are {IN[0]:.2f} to {IN[1]:.2f} times as "
-            f"long as asked for, {ratio.mean():.2f} on average; {short.mean():.1%} are shorter and "
-            f"{long.mean():.1%} longer")
+    note = (f"{(~short & ~long).mean():.1%} of the edges{changing} are {IN[0]:.2f} to {IN[1]:.2f} "
+            f"times as long as asked for, {ratio.mean():.2f} on average; {short.mean():.1%} are "
+            f"shorter and {long.mean():.1%} longer")
     if (short | long).any():
         inverse = np.divide(1.0, ratio, out=np.full(len(ratio), np.inf), where=ratio > 0.0)
         far = edges[np.argmax(np.maximum(ratio, inverse))]

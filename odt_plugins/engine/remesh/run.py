@@ -167,7 +167,7 @@ def remesh(mesh: SimplexMesh, options: Options, leaving: Leaving, wish: Wish) ->
             # Those tried for a number out of reach are longer than any that it stands for.
             asked = sizes.values if wish.curved else sizes.before_chords(base)
             return found if found.origin is None else replace(
-                found, notes=told_of_triangles(base, asked, found) + found.notes), None
+                found, notes=told_of_triangles(mesh, base, asked, found) + found.notes), None
         return _tetrahedra(mesh, base, tried, options, leaving, course)
 
     def stiff(tried: Sizes, made: Made | None) -> tuple[Outcome, Broken | None]:

@@ -186,6 +186,23 @@ def test_the_report_of_triangles_says_how_many_edges_have_their_size(planar):
     assert f"{length.mean():.2f} on average" in note
 
 
+@pytest.mark.parametrize("planar", [True, False])
+def test_edges_outside_the_selection_do_not_count_where_their_lengths_are_told(planar):
+    points, cells = shaken_square() if planar else sphere(3)
+    chosen = points[cells].mean(axis=1)[:, 0] > np.median(points[:, 0])
+    (new, rows), report = odt_plugins.remesh_with_report((points, cells), 0.08, selection=chosen)
+
+    def edges(x, rows):
+        return {frozenset(map(tuple, x[pair].tolist()))
+                for row in rows for pair in (row[:2], row[1:], row[::2])}
+
+    length = np.array([np.linalg.norm(np.subtract(*edge)) / 0.08
+                       for edge in edges(new, rows) - edges(points, cells[~chosen])])
+    share = ((length > 0.5**0.5) & (length < 2**0.5)).mean()
+    [note] = [note for note in report.notes if "as long as asked for" in note]
+    assert note.startswith(f"{share:.1%} of the edges that may change are 0.71 to 1.41 times")
+
+
 def test_edges_are_compared_with_those_of_the_number_asked_for_where_it_is_out_of_reach():
     points, cells = sphere(3)
     (_, rows), report = odt_plugins.remesh_with_report((points, cells), cells=100, envelope=2e-3)
