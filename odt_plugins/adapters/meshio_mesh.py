@@ -461,9 +461,9 @@ def _kept(mesh: Any, i: int, order: int) -> list[KeptCells]:
         if name not in NOT_CELL_INDICES and members[i] is not None:
             columns.append(_inside(np.asarray(members[i]), len(data)))
     classes, labels = classes_of(columns, len(data))
+    ids: Any = sum(len(block.data) for block in mesh.cells[:i]) + np.arange(len(data))
     if HIGHER.get(kind, (0, 1))[1] != order or kind in LAGRANGE:
-        classes = None
-    ids = sum(len(block.data) for block in mesh.cells[:i]) + np.arange(len(data))
+        classes = ids = None
     rows = data[:, : FACES[kind]]
     return [part for part, _ in each_once(KeptCells(kind, rows, classes, labels, ids))]
 

@@ -255,7 +255,7 @@ def _read_grid(mesh: Any) -> tuple[IndexArray, IndexArray, tuple[KeptCells, ...]
             continue
         known = _known(mesh, which, size - 1 if other == POLY_LINE else None)
         if other not in ((LINE, TRIANGLE) if kind in LINEAR else (21, 22, 68, 69)):
-            known = (None, *known[1:])
+            known = (None, known[1], None)
         kept += [part for part, _ in each_once(KeptCells(names[other], rows, *known))]
     return cells, ids, tuple(kept)
 

@@ -6,6 +6,10 @@ from odt_plugins.adapters.host import CELL_VERTEX, NAMED_VERTEX, SET_VERTEX, Hos
 from odt_plugins.errors import counted
 from odt_plugins.mesh.simplex import SimplexMesh
 
+WHY = {True: "most have a number of their own in an array; try to leave it out",
+       False: "cells of another order and parts of poly-lines become no others"}
+"""Why faces beside the cells stay, with a place of their own among all cells and without one."""
+
 
 def note_kept(mesh: SimplexMesh, host: HostMesh, resized: bool) -> tuple[str, ...]:
     """Say which vertices stay, of those that sets, the file or cells name, and which faces do.
@@ -29,12 +33,13 @@ def _notes_on_faces(mesh: SimplexMesh, host: HostMesh) -> tuple[str, ...]:
     notes = []
     cells = "tetrahedra" if mesh.cells.shape[1] == 4 else "triangles"
     for what, size in (("line", 2), ("triangle", 3)):
-        own = sum(len(rows) for _, rows, classes, labels, ids, _ in host.kept
-                  if rows.shape[1] == size and classes is None and not host.higher_order
-                  and labels is not None and ids is not None)
-        if own:
-            notes.append(f"{counted(own, what)} beside the {cells} stay{'s' * (own == 1)}, since "
-                         f"most have a number of their own in an array; try to leave it out")
+        alone = [(len(rows), ids is not None) for _, rows, classes, labels, ids, _ in host.kept
+                 if rows.shape[1] == size and classes is None and labels is not None]
+        for own, why in WHY.items():
+            count = sum(many for many, numbered in alone if numbered == own)
+            if count:
+                notes.append(f"{counted(count, what)} beside the {cells} stay{'s' * (count == 1)}, "
+                             f"since {why}")
         labels = mesh.faces[size - 2].labels
         if 2 * len(set(labels.tolist())) > max(len(labels), 2):
             notes.append(f"most of the {counted(len(labels), what)} beside the {cells} have no "

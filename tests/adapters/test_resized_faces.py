@@ -11,6 +11,7 @@ import boxes
 import meshio
 import numpy as np
 import pytest
+import pyvista
 from gmsh_sessions import group_sizes, session, two_solids
 
 from odt_plugins import remesh, remesh_with_report
@@ -140,6 +141,26 @@ def test_the_report_tells_of_lines_that_have_no_others_like_them(curved):
     assert f"{count} lines beside the triangles stay" in notes([rim], [np.arange(count)])
     alone = notes(np.split(rim, count), np.split(kinds, count))
     assert f"most of the {count} lines beside the triangles have no other" in alone
+
+
+@pytest.mark.parametrize("quadratic", [False, True])
+def test_the_report_tells_of_poly_lines_and_of_lines_of_another_order(quadratic):
+    points, cells = boxes.box(2, 8)
+    points = np.pad(np.asarray(points, dtype=float), ((0, 0), (0, 1)))
+    side = np.flatnonzero(points[:, 1] == points[:, 1].min())
+    side = side[np.argsort(points[side, 0])]
+    if quadratic:
+        ends, which = np.unique(np.sort(cells[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1),
+                                axis=0, return_inverse=True)
+        nodes = len(points) + which.reshape(-1, 3)
+        mesh = meshio.Mesh(np.concatenate([points, points[ends].mean(axis=1)]), [
+            ("triangle6", np.hstack([cells, nodes])),
+            ("line", np.stack([side[:-1], side[1:]], axis=1))])
+    else:
+        mesh = pyvista.PolyData(points, faces=np.insert(cells, 0, 3, axis=1).ravel(),
+                                lines=np.insert(side, 0, len(side)))
+    notes = "; ".join(remesh_with_report(mesh, scale=2)[1].notes)
+    assert f"{len(side) - 1} lines beside the triangles stay, since cells of another order" in notes
 
 
 @pytest.mark.parametrize("kind", [float, np.float32, str, object])
