@@ -494,8 +494,10 @@ def compact_labels(regions: ArrayLike | None, m: int) -> IntArray:
     if raw.dtype.kind not in "iubU" and not (
         raw.dtype.kind == "f" and np.isfinite(raw).all() and (raw == np.floor(raw)).all()
     ):
-        msg = (f"regions have dtype {raw.dtype}; expected whole numbers or texts, try "
-               f"regions.astype(int)")
+        gaps = raw.dtype.kind == "f" and bool(np.isnan(raw).any())
+        better = "numpy.nan_to_num(regions, nan=-1)" if gaps else "regions"
+        msg = (f"regions have dtype {raw.dtype}{' and NaN' * gaps}; expected whole numbers or "
+               f"texts, try {better}.astype(int)")
         raise InvalidOptionError(msg)
     return np.unique(raw, return_inverse=True)[1].astype(np.int32)
 

@@ -205,6 +205,8 @@ BAD_OPTIONS = {
     "progress": ({"progress": 3}, r"got progress=3; expected None, True or a callable"),
     "regions length": ({"regions": np.zeros(3, int)}, r"regions have shape \(3,\); .* \(6,\)"),
     "regions float": ({"regions": np.full(6, 0.5)}, r"regions have dtype float64; expected who"),
+    "regions NaN": ({"regions": np.array([1, 1, np.nan, 2, 2, 2])},
+                    r"float64 and NaN; .* try numpy\.nan_to_num\(regions, nan=-1\)\.astype\(int\)"),
     "regions name": ({"regions": "rock"}, r"regions='rock' names no cell array"),
     "fixed length": ({"fixed": np.zeros(3, bool)}, r"fixed is a mask of shape \(3,\); .*\(8,\)"),
     "fixed index": ({"fixed": [1, 9, 8]}, r"fixed\[1\] is 9 \(2 out of range\).*0 to 7"),
