@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from math import comb
 
 import numpy as np
@@ -33,9 +34,13 @@ def test_fitted_exponent_is_that_of_a_power_law():
     assert fit("x", [(10, 1.0)]).exponent is None
 
 
-def test_one_piece_and_blocks_are_measured(monkeypatch):
+def test_one_piece_and_blocks_are_measured(monkeypatch, tmp_path):
+    """Processes that measure make blocks of a smaller mesh than is worth it."""
+    (tmp_path / "sitecustomize.py").write_text(
+        "from odt_plugins.distributed import optimize\noptimize.LEAST_CELLS = 4000\n")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
     monkeypatch.setattr(blocks, "WAYS", (blocks.WAYS[0], blocks.WAYS[2]))
-    table, traffic = blocks.blocks_part([84_000], 1, silent).tables
+    table, traffic = blocks.blocks_part([8_400], 1, silent).tables
     assert [row[1] for row in table.rows] == ["one piece", "up to 4 blocks, 1 worker"]
     assert [row[-1] for row in table.rows] == ["", "the same"]
     assert all(row[3] > 0 for row in table.rows)
