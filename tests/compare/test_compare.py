@@ -501,7 +501,7 @@ def test_command_writes_into_out_alone(tmp_path, monkeypatch, capsys):
     meshio.write(tmp_path / "small.vtu", meshio.Mesh(
         np.column_stack([start.points, np.zeros(len(start.points))]),
         [("triangle", start.cells)]))
-    with charts_unwritten():
+    with charts_unwritten(), in_this_process():
         assert main(["compare", "small.vtu", "--against", "laplacian", "--out", "table",
                      "--repeats", "1"]) == 0
     said = capsys.readouterr().out
