@@ -112,7 +112,7 @@ def filled(cells, rows):
 
 
 RUNS = [
-    lambda mesh: odt_plugins.remesh(mesh, scale=0.5),
+    lambda mesh: odt_plugins.remesh(mesh, scale=0.7),
     lambda mesh: odt_plugins.remesh(mesh, scale=2),
     lambda mesh: odt_plugins.optimize(mesh, insert=True, keep=()),
 ]
