@@ -93,8 +93,8 @@ def test_where_no_sizes_make_as_few_those_about_as_long_as_what_is_made_are_trie
 @pytest.mark.parametrize(("boundary", "advice"), [
     ("slide", "try a larger envelope="), ("fixed", "try boundary='slide'")])
 def test_what_allows_a_number_out_of_reach_is_told(boundary, advice):
-    few, many = (odt_plugins.remesh_with_report(ball(300, 1), cells=goal, boundary=boundary)[1]
-                 for goal in (5, 2500))
+    few, many = (odt_plugins.remesh_with_report(ball(150, 1), cells=goal, boundary=boundary)[1]
+                 for goal in (5, 1250))
     assert any(note.endswith(advice) for note in few.notes)
     assert advice not in str(many)
 
