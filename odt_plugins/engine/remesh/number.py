@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -104,7 +103,7 @@ def out_of_reach_told(goal: Goal, count: int, mesh: SimplexMesh, options: Option
 
 def factor_towards(
     goal: Goal, count: Callable[[float], int | None], near: Callable[[], float], factor: float,
-    alike: Mapping[float, int] = MappingProxyType({}),
+    alike: Callable[[], Mapping[float, int]] = dict,
 ) -> float:
     """The factor on sizes, of those that are tried, whose number is nearest; 1 if all fail.
 
@@ -114,7 +113,7 @@ def factor_towards(
     count : callable    the number with a factor, None where there is no result
     near : callable     part of the goal by which the number may be off
     factor : float      to be tried first, then 1 where it fails
-    alike : mapping     numbers with factors, to which those of the same factors are in proportion
+    alike : callable    numbers with factors, to which those of the same factors are in proportion
     """
     counts: dict[float, int] = {}
     nearest, last, off = factor, factor, math.inf
@@ -135,9 +134,9 @@ def factor_towards(
             break
         if held:
             return nearest if off < 0.0 else _fewest(goal, count, counts)
-        first = next(iter(counts))
-        likely = {other: int(number * counts[first] / alike[first])
-                  for other, number in alike.items() if first in alike}
+        first, known = next(iter(counts)), alike()
+        likely = {other: int(number * counts[first] / known[first])
+                  for other, number in known.items() if first in known}
         factor = (factor_for(likely | counts, goal.number, goal.dim) if factor in counts
                   else math.sqrt(factor * nearest))
         factor = max(factor, FURTHEST ** (-1.0 / goal.dim))

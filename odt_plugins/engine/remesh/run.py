@@ -229,8 +229,9 @@ def _towards(
     if mesh.dim == 3:
         factor = factor_towards(goal, resized, lambda: NEAR, factor)
         out_of_reach = any(goal.off(made[0].outcome) > ROUGHLY for made in nearest.values())
+    as_resized = resizings.copy()
     factor_towards(goal, kept, lambda: math.inf if out_of_reach else ROUGHLY if known else NEAR,
-                   factor, resizings.copy())
+                   factor, lambda: {} if known else as_resized)
     more = goal.count(best) > goal.number and goal.off(best) > ROUGHLY
     if more and mesh.dim == 3 and options.boundary == "slide" and not len(mesh.metric):
         nearest.clear()

@@ -59,7 +59,7 @@ def test_numbers_in_proportion_to_those_sought_spare_a_correction():
         return round(0.9 * resized(factor))
 
     alike = {factor: resized(factor) for factor in (1.0, 1.3, 1.5)}
-    factor = factor_towards(Goal(10_000, "cells", 3), count, lambda: NEAR, 1.5, alike)
+    factor = factor_towards(Goal(10_000, "cells", 3), count, lambda: NEAR, 1.5, lambda: alike)
     assert 0.9 * resized(factor) == pytest.approx(10_000, rel=NEAR)
     assert len(asked) == 2
     asked.clear()
