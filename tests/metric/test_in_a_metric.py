@@ -8,6 +8,7 @@ from scipy.spatial import Delaunay
 
 import odt_plugins
 from odt_plugins.engine.remesh import volume
+from odt_plugins.engine.retile import passes
 from odt_plugins.errors import InvalidOptionError
 
 STRETCHED = np.array([400.0, 0.0, 25.0])
@@ -72,6 +73,26 @@ def test_cells_that_stay_are_not_made_by_way_of_many_more(monkeypatch):
     _, cells = odt_plugins.remesh(
         mesh, metric=np.tile(tensor, (64, 1, 1)), free="periodic", keep=(), finish=False)
     assert max(counts) < 8 * len(cells)
+
+
+@pytest.mark.parametrize("bent", [False, True])
+def test_triangles_that_stay_are_not_made_by_way_of_many_more(monkeypatch, bent):
+    counts = []
+    split = passes.split_edges
+
+    def counted(net, *given):
+        done = split(net, *given)
+        counts.append(int(net.count[1]))
+        return done
+
+    monkeypatch.setattr(passes, "split_edges", counted)
+    points, cells = square()
+    tensor = np.diag([400.0**2, 2.0**2])
+    if bent:
+        points = np.column_stack([points, points[:, 1] ** 2])
+        tensor = np.diag([400.0**2, 2.0**2, 2.0**2])
+    _, cells = odt_plugins.remesh((points, cells), metric=np.tile(tensor, (144, 1, 1)))
+    assert max(counts) < 5 * len(cells)
 
 
 def seen_edges(points, cells, tensor):

@@ -35,6 +35,9 @@ doubles of the other are nearer to the size."""
 NEEDLES = 1e-4
 """Radius ratio below which triangles get other edges between two passes of splits."""
 
+COARSER = 0.5
+"""Limit of a pass of splits in a metric by that of the one before, or by the longest edge."""
+
 MENDED = 2.0
 """Multiple of its size up to which an edge may be that comes instead of a thin triangle."""
 
@@ -103,22 +106,31 @@ class Passes:
     def split(self, net: Net, bounds: Extremes) -> Net:
         """Split edges, the longest first, until none is too long that keeps the bounds.
 
-        Edges of NEEDLES flip between the passes, or their halves would be ever thinner.
+        In a metric edges many times too long come first, and what became short vanishes between
+        the passes: halves of edges that need not be halved would become many more triangles.
+        Otherwise edges of NEEDLES flip between the passes, or their halves would be ever thinner.
         """
-        rules = self.rules._replace(bounds=bounds)
+        limit = np.inf if self.metric.size else LONGEST
         for _ in range(PASSES):
             if net.count[1] > self.most:
                 break
-            pairs, ratio, degree = edges_of(net, self._since(net, "split"))
-            chosen = np.flatnonzero(ratio > LONGEST)
+            since = self._since(net, "split") if limit == LONGEST else -1
+            pairs, ratio, degree = edges_of(net, since)
+            limit = max(LONGEST, COARSER * min(limit, ratio.max(initial=0.0)))
+            chosen = np.flatnonzero(ratio > limit)
             if len(chosen):
                 # A half of a triangle has at least half its altitude.
                 chosen = chosen[~at_thin(net, pairs[chosen], 2.0 * self.thin)]
             chosen = chosen[np.argsort(-ratio[chosen], kind="stable")]
             net = grown(net, len(chosen), 2 * int(degree[chosen].sum()))
+            rules = self.rules._replace(bounds=bounds, longest=limit)
             done = split_edges(net, rules, pairs[chosen], self.room)
             self.measure(net)
-            if not done:
+            if limit > LONGEST:
+                self.collapse(net)
+                self.flip(net, 1.0)
+                net = compact(net)
+            elif not done:
                 break
             if not self.metric.size and qualities(net)[1].min() < NEEDLES:
                 self.flip(net, 1.0)
