@@ -35,8 +35,9 @@ doubles of the other are nearer to the size."""
 NEEDLES = 1e-4
 """Radius ratio below which triangles get other edges between two passes of splits."""
 
-COARSER = 0.5
-"""Limit of a pass of splits in a metric by that of the one before, or by the longest edge."""
+MANY, COARSER = 32.0, 0.5
+"""Multiple of its size of a longest edge from which on splits in a metric have limits that fall,
+and limit of a pass by that of the one before, or by the longest edge."""
 
 MENDED = 2.0
 """Multiple of its size up to which an edge may be that comes instead of a thin triangle."""
@@ -116,7 +117,9 @@ class Passes:
                 break
             since = self._since(net, "split") if limit == LONGEST else -1
             pairs, ratio, degree = edges_of(net, since)
-            limit = max(LONGEST, COARSER * min(limit, ratio.max(initial=0.0)))
+            longest = ratio.max(initial=0.0)
+            limit = LONGEST if limit == np.inf and longest < MANY else max(
+                LONGEST, COARSER * min(limit, longest))
             chosen = np.flatnonzero(ratio > limit)
             if len(chosen):
                 # A half of a triangle has at least half its altitude.
