@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 LONGEST = 200
 """Letters of the text of a value up to which a message has it."""
 
+ROUNDING = 1e-15
+"""Part of the extent of a mesh up to which a coordinate is 0."""
+
 INSIDE = (os.path.dirname(os.path.abspath(__file__)) + os.sep, contextlib.__file__)
 """Where the files of the package begin, and what may stand between two of their functions."""
 
@@ -161,11 +164,12 @@ def change(first: float, last: float) -> str:
 
 def place_within(extent: float, place: Iterable[float], digits: int = 4) -> str:
     """Say where a place in a mesh is, "1.2, 0, 3.4": with more digits where it is far from the
-    origin, as many as say as much of the mesh, which has this extent, as near the origin.
+    origin, as many as say as much of the mesh, which has this extent, as near the origin; and 0
+    for less than rounding leaves of the extent.
     """
     return ", ".join(
         f"{x:.{next((k for k in range(digits, 17) if abs(x) <= extent * 10 ** (k - digits)), 17)}g}"
-        for x in place)
+        for x in (0.0 if abs(x) <= ROUNDING * extent else x for x in place))
 
 
 def endless_walk(vertex: int) -> EndlessWalkError:

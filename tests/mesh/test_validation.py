@@ -15,7 +15,12 @@ from scipy.spatial import Delaunay
 import odt_plugins
 from odt_plugins.adapters.host import KeptCells
 from odt_plugins.adapters.kept import protect
-from odt_plugins.errors import InvalidMeshError, InvalidOptionError, UnsupportedMeshError
+from odt_plugins.errors import (
+    InvalidMeshError,
+    InvalidOptionError,
+    UnsupportedMeshError,
+    place_within,
+)
 from odt_plugins.mesh.facets import directed_facets, row_keys
 from odt_plugins.mesh.plane import FLATNESS, plane_frame
 from odt_plugins.mesh.simplex import simplex_mesh
@@ -658,3 +663,12 @@ def test_other_verbs_tell_long_and_uneven_values_in_one_sentence(verb, options, 
     with pytest.raises(InvalidOptionError, match=message) as caught:
         verb(cube(), **options)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(("extent", "place", "told"), [
+    (2.0, (-2.6e-17, -0.64961, 0.0), "0, -0.6496, 0"),
+    (2e-20, (3.25e-21, -1e-37, 1e-20), "3.25e-21, 0, 1e-20"),
+    (1.0, (1e6 + 0.25, 1e-14, -0.0), "1000000.25, 1e-14, 0"),
+])
+def test_a_place_is_told_without_what_rounding_leaves(extent, place, told):
+    assert place_within(extent, place) == told

@@ -135,7 +135,7 @@ def factor_towards(
         if held:
             return nearest if off < 0.0 else _fewest(goal, count, counts)
         first, known = next(iter(counts)), alike()
-        likely = {other: int(number * counts[first] / known[first])
+        likely = {other: max(round(number * counts[first] / known[first]), 1)
                   for other, number in known.items() if first in known}
         factor = (factor_for(likely | counts, goal.number, goal.dim) if factor in counts
                   else math.sqrt(factor * nearest))
