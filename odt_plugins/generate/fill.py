@@ -137,6 +137,8 @@ def tetrahedralize(vertices: Any, faces: Any = None, *more: Any, **how: Any) -> 
                                  beside it, or of that of the boundary no surface; not where TetWild
                                  runs alone, nor with disable_filtering, which fills a box
     ODTWarning                   parts of the boundary stand for no face, as where holes were closed
+    ODTWarning                   faces with labels have no triangle beside them, as those within
+                                 another body without `bodies`
     ODTWarning                   a file holds point data, lines or single points, which do not come
     ODTWarning                   faces of higher order are curved, by more than the envelope
 
@@ -315,8 +317,8 @@ def fill(
         filled = compare(surface, (points, cells), reach)
         if not filled.filled:
             warn(filled.complaint(), NotFilledWarning)
-    held = label if not levels else None
-    mesh = _labelled(points, cells, host, reach, held)
+    mesh = _labelled(points, cells, host, reach, None if levels else label,
+                     "" if levels or bodies else "; try bodies=True")
     if label is not None:
         mesh.cell_data[BODY] = [label] + [np.zeros(len(block.data), dtype=np.int32)
                                           for block in mesh.cells[1:]]
@@ -390,11 +392,13 @@ def closest_faces(
 
 
 def _labelled(
-    points: FloatArray, cells: IntArray, host: HostMesh, reach: float, body: IntArray | None
+    points: FloatArray, cells: IntArray, host: HostMesh, reach: float, body: IntArray | None,
+    advice: str,
 ) -> Any:
     """The tetrahedra, beside them their boundary with the data of the faces, if there are any.
 
-    Facets between bodies (m,), too, as facets of those with the larger numbers.
+    Facets between bodies (m,), too, as facets of those with the larger numbers. Where faces have no
+    facet beside them a warning gives advice.
     """
     from meshio import Mesh
 
@@ -419,9 +423,10 @@ def _labelled(
         warn(msg, ODTWarning)
     within = int((closest_faces(*ground, (points, facets), reach) < 0).sum())
     if within:
-        advice = "; try bodies=True" if body is None else ""
-        msg = (f"{within} of {counted(len(ground[1]), 'face')} of the surface have no triangle "
-               f"beside them, as those within another body; their labels do not come{advice}")
+        have, those, their, come = (("has", "it", "its label", "does") if within == 1 else
+                                    ("have", "them", "their labels", "do"))
+        msg = (f"{within} of {counted(len(ground[1]), 'face')} of the surface {have} no triangle "
+               f"beside {those}, as within another body; {their} {come} not come{advice}")
         warn(msg, ODTWarning)
     data: dict[str, Any] = {
         name: [_of_cells(name, values, len(cells)), _of_facets(values, face)]

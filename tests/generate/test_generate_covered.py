@@ -236,6 +236,11 @@ def test_faces_between_bodies_come_with_their_labels(place, capsys):
     said = capsys.readouterr().err
     assert "12 of 24 faces of the surface have no triangle beside them" in said
     assert "try --bodies" in said
+    made.append(solid((0, 0, 0), n=4))
+    assert cli.main([*command, "--bodies", "--levels", "1", "--boundary", "fixed"]) == 0
+    said = capsys.readouterr().err
+    assert "12 of 24 faces of the surface have no triangle beside them" in said
+    assert "--bodies" not in said
 
 
 def test_an_array_of_that_name_is_not_replaced(place):
