@@ -171,9 +171,19 @@ def remesh(mesh: SimplexMesh, options: Options, leaving: Leaving, wish: Wish) ->
         return _tetrahedra(mesh, base, tried, options, leaving, course)
 
     def stiff(tried: Sizes, made: Made | None) -> tuple[Outcome, Broken | None]:
-        own = tried.first(len(mesh.points))
-        return _once(_first(mesh, own, options, ALL), own.values, options, leaving,
-                     Course(lambda _: 0.0), made if base is mesh else None)
+        own, course = tried.first(len(mesh.points)), Course(lambda _: 0.0)
+        attempt = _first(mesh, own, options, ALL)
+        made = made if base is mesh else None
+        for _ in range(ATTEMPTS):
+            outcome, broken = _once(attempt, own.values, options, leaving, course, made)
+            if broken is None:
+                break
+            following, falls = remedy(mesh, attempt, outcome, broken, options)
+            if following is None or falls:
+                break
+            attempt, made = following._replace(why=broken.why), None
+        return told_of_frozen(
+            mesh, attempt.mesh, outcome, attempt.why, boundary=False), broken
 
     goal = goal_of(wish, mesh.dim)
     outcome = (tries(sizes, Course())[0] if goal is None

@@ -11,13 +11,14 @@ from tet_meshes import ball
 import odt_plugins
 from odt_plugins.compare.start import stored
 from odt_plugins.engine.remesh import run
+from odt_plugins.engine.remesh.distance import Broken
 from odt_plugins.engine.remesh.number import NEAR, Goal, factor_towards, goal_of
 from odt_plugins.engine.remesh.sizes import wanted_sizes
 from odt_plugins.engine.remesh.wish import Wish
 from odt_plugins.engine.run import plan, retreat
 from odt_plugins.engine.run.outcome import unchanged
 from odt_plugins.engine.run.within import Within
-from odt_plugins.mesh.simplex import simplex_mesh
+from odt_plugins.mesh.simplex import freeze, simplex_mesh
 from odt_plugins.options import Options
 
 
@@ -203,3 +204,28 @@ def test_a_surface_that_stays_fine_does_not_make_more_cells_than_a_body_had():
     assert after.max_angle <= before.max_angle
     for figure in ("min_quality", "p1_quality", "mean_quality"):
         assert getattr(after, figure) >= getattr(before, figure)
+
+
+def test_cells_that_spoil_the_worst_figures_alone_stay_before_more_cells_are_made(monkeypatch):
+    """Sizes that do not fall, with which a single cell breaks the promise at first."""
+    points, cells = ball(600, 3)
+    once, remedy = run._once, run.remedy
+
+    def broken_at_first(attempt, *rest):
+        outcome, broken = once(attempt, *rest)
+        alone = attempt.stuck == run.ALL and not attempt.mesh.frozen.any()
+        return outcome, Broken("a cell is poorer") if alone else broken
+
+    def holds_one(mesh, attempt, outcome, broken, options):
+        if attempt.stuck != run.ALL:
+            return remedy(mesh, attempt, outcome, broken, options)
+        return attempt._replace(mesh=freeze(mesh, np.arange(len(mesh.cells)) == 0)), False
+
+    made = odt_plugins.remesh((points, cells), cells=1489, envelope=1e-6, threads=1)
+    monkeypatch.setattr(run, "_once", broken_at_first)
+    monkeypatch.setattr(run, "remedy", holds_one)
+    held, report = odt_plugins.remesh_with_report(
+        (points, cells), cells=1489, envelope=1e-6, threads=1)
+    assert len(held[1]) == pytest.approx(len(made[1]), rel=0.05)
+    assert len(held[1]) < 1600
+    assert "1 cell of the input stays as it is, since a cell is poorer" in report.notes
