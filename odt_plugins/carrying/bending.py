@@ -8,6 +8,7 @@ curved edge there.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -15,10 +16,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters.elevated import BentEdges, curved_edges
-from odt_plugins.adapters.host import HostMesh
+from odt_plugins.adapters.elevated import BentEdges, curved_edges, elevated
+from odt_plugins.adapters.host import HostMesh, Result
+from odt_plugins.carrying.curved import facts_of_others
 from odt_plugins.carrying.following import Prepared
-from odt_plugins.carrying.onto import LARGEST, came_or_moved
+from odt_plugins.carrying.onto import LARGEST, came_or_moved, edges_onto
 from odt_plugins.errors import counted
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.faces import labels_at
@@ -124,6 +126,26 @@ def leaving_bent(leaving: Leaving, mesh: SimplexMesh) -> Leaving:
     return lambda outcome: leaving(replace(outcome, points=smooth.put(outcome)))
 
 
+def bent_again(
+    work: Prepared, given: HostMesh, outcome: Outcome, bent: Bent | None, result: Result,
+    locate: Callable[[NDArray[Any], NDArray[Any]], Any], *, moves: bool,
+) -> tuple[Result, tuple[str, ...], dict[str, float] | None]:
+    """A result of the corners with a node on every edge, notes, and facts of its curved cells.
+
+    Parameters
+    ----------
+    work, given, outcome : Prepared, HostMesh, Outcome    of the run
+    bent : Bent or None                                   on which nodes of the surface are
+    result : Result                                       of the corners
+    locate : callable                                     as :func:`elevated` takes it
+    moves : bool                                          whether the surface is other triangles
+    """
+    edges = None if bent is None else _middles(bent, outcome, work.frame)
+    edges = edges_onto(work, outcome, edges) if moves else edges
+    result, flatter = elevated(result, given, locate, edges)
+    return result, note_on_flatter(flatter), facts_of_others(given, work.own, result)
+
+
 def note_on_flatter(count: int) -> tuple[str, ...]:
     """What a report says of edges that are flatter lest cells be poor."""
     are = counted(count, "edge of cells is", "edges of cells are")
@@ -197,7 +219,7 @@ def _put(bent: Bent, before: FloatArray, outcome: Outcome) -> FloatArray:
     return points
 
 
-def middles(bent: Bent, outcome: Outcome, frame: PlaneFrame | None) -> BentEdges:
+def _middles(bent: Bent, outcome: Outcome, frame: PlaneFrame | None) -> BentEdges:
     """Edges of the surface of a mesh and where their nodes are on the curved one."""
     facets, ends = _surface(outcome, bent.angle, surface=bent.surface)
     n, sharp = len(outcome.points), ends

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from math import factorial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,6 +20,7 @@ from odt_plugins.adapters.host import HostMesh, Result
 from odt_plugins.carrying.untangling import Tangle
 from odt_plugins.engine.run.outcome import Outcome, unchanged
 from odt_plugins.errors import TangledMeshError
+from odt_plugins.figures import volumes
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.mesh.bernstein import jacobian_bounds
 from odt_plugins.mesh.simplex import SimplexMesh, freeze, reverse
@@ -49,12 +51,15 @@ class Curved(NamedTuple):
     scaled : (m,) float64      least determinant by the largest of a cell
     shrunk : (m,) float64      least determinant by that of the corners
     counts : (m,) bool         curved beyond rounding
+    volume : (m,) float64      area or volume; of triangles in space that of their shadow on the
+                               plane of the corners
     """
 
     valid: BoolArray
     scaled: FloatArray
     shrunk: FloatArray
     counts: BoolArray
+    volume: FloatArray
 
     def figures(self) -> FloatArray:
         """Least and mean of both (4,) over the cells that count, 1 where none does."""
@@ -97,12 +102,14 @@ def measured(points: NDArray[Any], rows: NDArray[Any], shape: NDArray[np.int64])
     extent = np.sqrt((x * x).sum(axis=2)).max(axis=1)
     eps = float(np.finfo(points.dtype).eps)
     largest = np.abs(np.asarray(points[rows], dtype=np.float64)).max(axis=(1, 2))
+    flat = abs(volumes(x[:, :d].reshape(-1, x.shape[2]), np.arange(d * len(x)).reshape(-1, d)))
     out = Curved(np.ones(len(x), dtype=np.bool_), np.ones(len(x)), np.ones(len(x)),
-                 off > np.maximum(ROUNDED * extent, 8 * eps * largest))
+                 off > np.maximum(ROUNDED * extent, 8 * eps * largest), flat)
     bent = np.flatnonzero(off > STRAIGHT * extent)
     bounds = jacobian_bounds(x[bent], shape)
     corners = jacobian_bounds(x[bent, :d], np.eye(d, dtype=np.int64)).least
     out.valid[bent], out.scaled[bent] = bounds.valid, bounds.scaled
+    out.volume[bent] = bounds.mean / factorial(d - 1)
     safe = np.where(corners > 0.0, corners, 1.0)
     out.shrunk[bent] = np.where(corners > 0.0, np.maximum(bounds.lower, 0.0) / safe, 0.0)
     return out
@@ -162,15 +169,45 @@ def keep_curved(
             after, is_now, now = before, was, freeze(mesh, np.ones(len(mesh.cells), dtype=np.bool_))
             break
     stays = mesh.fixed if slides or now is mesh else held_vertices(mesh)
-    names = ("least", "least_of_corners", "mean", "mean_of_corners")
-    facts: dict[str, float] = {"cells": int(before.counts.sum()),
-                               "vertices_held": int((now.fixed & ~stays).sum())}
+    facts = _facts(before, after, int((now.fixed & ~stays).sum()),
+                   of_volume=source is None and not mesh.is_surface)
     if source is not None:
         folded = ~after.valid & given.valid[source[outcome.source]]
         facts["folded"] = int(folded.sum())
-    facts |= {f"{name}_before": float(v) for name, v in zip(names, was, strict=True)}
-    facts |= {f"{name}_after": float(v) for name, v in zip(names, is_now, strict=True)}
     return Kept(now, outcome, facts)
+
+
+def facts_of_others(
+    host: HostMesh, own: NDArray[Any] | None, result: Result
+) -> dict[str, float] | None:
+    """Facts of :class:`Kept` where other cells, all of the result, took the place of some.
+
+    Parameters
+    ----------
+    host : HostMesh          the caller's mesh, with `nodes` and `shape`
+    own : (m,) int or None   the cells that were optimised, None of all
+    result : Result          with all nodes
+    """
+    shape: Any = host.shape
+    rows: Any = host.nodes
+    old, new = (slice(None),) * 2 if own is None else (own, np.isin(result.source, own))
+    before = measured(host.points, rows[old], shape)
+    if before.scaled.min(initial=1.0) == 1.0:
+        return None
+    after = measured(result.points, result.cells[new], shape)
+    return _facts(before, after, 0, of_volume=not result.curved)
+
+
+def _facts(
+    before: Curved, after: Curved, held: int, *, of_volume: bool
+) -> dict[str, float]:
+    facts: dict[str, float] = {"cells": int(before.counts.sum()), "vertices_held": held}
+    for side, found in (("before", before), ("after", after)):
+        names = ("least", "least_of_corners", "mean", "mean_of_corners")
+        facts |= {f"{name}_{side}": float(v)
+                  for name, v in zip(names, found.figures(), strict=True)}
+        facts |= {f"volume_{side}": float(found.volume.sum())} if of_volume else {}
+    return facts
 
 
 def _compared(

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters.elevated import elevated, held, linear
+from odt_plugins.adapters.elevated import held, linear
 from odt_plugins.adapters.fields import named_array
 from odt_plugins.adapters.host import (
     Adapter,
@@ -38,7 +38,7 @@ from odt_plugins.carrying.aside import (
     with_others,
     without_others,
 )
-from odt_plugins.carrying.bending import leaving_bent, middles, note_on_flatter, with_bent
+from odt_plugins.carrying.bending import bent_again, leaving_bent, with_bent
 from odt_plugins.carrying.curved import Kept, keep_curved, untangled_around
 from odt_plugins.carrying.following import (
     CONSERVE,
@@ -52,7 +52,7 @@ from odt_plugins.carrying.following import (
     new_faces,
     new_vertices,
 )
-from odt_plugins.carrying.onto import edges_onto, in_space, near_geometry, on_geometry
+from odt_plugins.carrying.onto import in_space, near_geometry, on_geometry
 from odt_plugins.carrying.reference import within_reference
 from odt_plugins.carrying.sources import cell_origin, in_input_order, surrounding_cells
 from odt_plugins.carrying.textures import feet_of
@@ -216,10 +216,9 @@ def run_engine(
         of_cells=data.of_cells, faces=faces,
     )
     if given.higher_order and not work.host.higher_order:
-        edges = bent and middles(bent, outcome, work.frame)
-        edges = edges_onto(work, outcome, edges) if moves else edges
-        result, flatter = elevated(result, given, locating(work, given, options.threads), edges)
-        told["notes"] += note_on_flatter(flatter)
+        result, more, told["curved"] = bent_again(
+            work, given, outcome, bent, result, locating(work, given, options.threads), moves=moves)
+        told["notes"] += more
     out = work.adapter.write(result, given)
     if given.higher_order:
         # The writer puts nodes on edges and faces, of which there are others.

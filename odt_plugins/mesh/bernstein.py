@@ -29,18 +29,21 @@ AT_ONCE = 4_000_000
 
 
 class Bounds(NamedTuple):
-    """Bounds (m,) of the determinant in every cell, and values that it takes.
+    """Bounds (m,) of the determinant in every cell, values that it takes, and the mean of all.
 
     Attributes
     ----------
     lower, least : (m,) float64      lower bound, and least value seen; twice or six times the area
                                      or volume in a straight cell
     upper : (m,) float64             upper bound
+    mean : (m,) float64              mean over the reference cell, twice the area or six times the
+                                     volume
     """
 
     lower: FloatArray
     least: FloatArray
     upper: FloatArray
+    mean: FloatArray
 
     @property
     def valid(self) -> BoolArray:
@@ -77,7 +80,7 @@ def jacobian_bounds(x: FloatArray, shape: NDArray[np.int64]) -> Bounds:
     parts = [_bounds(coefficients(x[i : i + step], shape), dim, dim * (order - 1))
              for i in range(0, len(x), step)]
     if not parts:
-        return Bounds(*np.zeros((3, 0)))
+        return Bounds(*np.zeros((4, 0)))
     return Bounds(*(np.concatenate(values) for values in zip(*parts, strict=True)))
 
 
@@ -167,7 +170,8 @@ def _bounds(found: FloatArray, dim: int, degree: int) -> Bounds:
     upper = -_least(-found, dim, degree, decide=False)[0]
     rounding = 8 * np.finfo(np.float64).eps * np.abs(_inverse(dim, degree)).sum(axis=1).max()
     rounding = rounding * np.abs(found).max(axis=1, initial=0.0)
-    return Bounds(lower - rounding, least, upper + rounding)
+    # Bernstein polynomials of one degree have the same integral.
+    return Bounds(lower - rounding, least, upper + rounding, found.mean(axis=1))
 
 
 def _least(

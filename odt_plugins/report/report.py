@@ -92,12 +92,11 @@ class Report:
                                             "added" and of "flips" until all were valid, of cells
                                             "left" that were not, and in what the result is "worse"
                                             than the valid cells of the input
-    curved : dict or None                   of curved "cells", unless vertices may come and go:
-                                            least and mean scaled Jacobian
-                                            before and after, "least" and "mean" of the least
-                                            determinant by the largest one of a cell,
+    curved : dict or None                   of curved "cells": before and after "least" and "mean"
+                                            of least by largest determinant of a cell,
                                             "least_of_corners" and "mean_of_corners" by that of its
-                                            corners; the number of "vertices_held" for them
+                                            corners, "volume" of all, but of surfaces and tangled
+                                            meshes; the number of "vertices_held" for them
     integrals : dict name -> float          relative changes of the sums of value by volume of cell
                                             of cell arrays, by the sum of the absolute values, where
                                             larger than 1e-9, of float32 than 1.2e-7; none of
@@ -347,13 +346,18 @@ def make_report(
                     n_points=len(outcome.points) if nodes is None else nodes,
                     volume=float((volumes(outcome.points, outcome.cells) if plain is None
                                   else plain.volume).sum()))
+    was = replace(old.summary, turned=before.turned, volume=float(volumes_of(before).sum()))
+    slid = outcome.slid and outcome.slid._asdict()
+    if "volume_after" in (curved := told.get("curved") or {}):
+        was = replace(was, volume=curved["volume_before"])
+        after = replace(after, volume=curved["volume_after"])
+        slid = slid and slid | {"volume": after.volume / was.volume - 1.0}
     untangled = None
     if tangle is not None:
         untangled = {**tangle.facts, "worse": worse_than_valid(tangle, after, tuple(options.keep))}
     return Report(
         dim=before.dim,
-        before=replace(old.summary, turned=before.turned,
-                       volume=float(volumes_of(before).sum())),
+        before=was,
         after=after,
         histogram_before=histogram(old.quality),
         histogram_after=histogram(new.quality),
@@ -368,7 +372,7 @@ def make_report(
                               movable_after, new, _freeing(before, outcome, options, refused)),
         options=described(options),
         versions=versions(),
-        slid=None if outcome.slid is None else outcome.slid._asdict(),
+        slid=slid,
         surface=_surface_facts(before, outcome, used),
         untangled=untangled,
         vetoed=outcome.vetoed,

@@ -56,6 +56,23 @@ def scaled(x, cells):
     return (low / high).min()
 
 
+def volume(x, cells):
+    """Volume of tetrahedra with ten nodes, by five places that integrate cubic polynomials.
+
+    Source: Keast, Moderate-degree tetrahedral quadrature formulas, CMAME 55 (1986), 339-348.
+    """
+    near = np.full((4, 4), 1 / 6) + np.eye(4) / 3
+    total = 0.0
+    for share, place in [(-4 / 5, np.full(4, 0.25)), *((9 / 20, place) for place in near)]:
+        slope = np.zeros((10, 4))
+        slope[range(4), range(4)] = 4 * place - 1
+        for k, (i, j) in enumerate([(0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3)], 4):
+            slope[k, [i, j]] = 4 * place[[j, i]]
+        rows = np.einsum("kd,mkx->mdx", slope[:, 1:] - slope[:, :1], x[cells])
+        total += share * np.abs(np.linalg.det(rows)).sum() / 6
+    return total
+
+
 def skin(cells):
     """Facets (k, 6) of one cell alone."""
     facets = np.concatenate([cells[:, side] for side in SIDES])
@@ -95,6 +112,11 @@ def test_what_comes_on_the_surface_is_on_the_curved_one_and_no_cell_folds(body, 
     assert was < 1e-9
     assert (least(out.points, rows) > 0).all()
     assert scaled(out.points, rows) > 0.3 < scaled(x, cells)
+    assert report.curved["least_after"] == pytest.approx(scaled(out.points, rows), abs=2e-3)
+    assert report.before.volume == pytest.approx(volume(x, cells), rel=1e-12)
+    assert report.after.volume == pytest.approx(volume(out.points, rows), rel=1e-12)
+    assert report.slid["volume"] == pytest.approx(
+        volume(out.points, rows) / volume(x, cells) - 1, abs=1e-12)
     assert np.array_equal(np.unique(rows), np.arange(len(out.points)))
     assert np.allclose(out.point_data["f"], out.points @ [1, -2, 3], atol=2e-3)
 
