@@ -32,7 +32,8 @@ from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.options import Options
 from odt_plugins.progress import silent
 
-NO_DENSITY = "nothing that follows the density kept the promise, the sizes are those of the input"
+AS_THEY_WERE = "no smoothing towards the sizes asked for kept the promise, they stay as they were"
+"""What is told where stage 2 alone kept the promise."""
 
 
 def run(
@@ -122,7 +123,7 @@ def follow_plan(work: Work, mesh: Complex) -> str:
                 if memory.states or (not work.slides and work.locked.all()):
                     break
         if refused and not keeps_sizes(options):
-            reason += f"; {NO_DENSITY}"
+            reason += f"; {AS_THEY_WERE}"
 
     reached = memory.states[0].figures if memory.states else work.before
     may = options.insert and (memory.states or not work.slides)

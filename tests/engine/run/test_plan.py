@@ -441,8 +441,8 @@ def test_a_density_that_no_state_could_follow_is_told():
 
     told = run(mesh, Options(density=steep))
     assert measure(told.points, told.cells)[2] > measure(mesh.points, mesh.cells)[2] + 0.02
-    assert told.stop_reason.endswith("kept the promise, the sizes are those of the input")
-    assert "sizes are" not in run(mesh, Options(density="uniform")).stop_reason
+    assert told.stop_reason.endswith("kept the promise, they stay as they were")
+    assert "as they were" not in run(mesh, Options(density="uniform")).stop_reason
 
 
 def test_finishing_alone_is_not_tried_where_sizes_or_nothing_poor_ask_for_it():
