@@ -303,7 +303,7 @@ def _bound(exponent: float) -> float:
     return RANGE ** (1.0 / max(1.0, abs(exponent)))
 
 
-def cell_density(points: FloatArray, cells: IntArray, rho: FloatArray) -> FloatArray:
+def cell_density(cells: IntArray, rho: FloatArray) -> FloatArray:
     """Mean of the vertex densities of every cell, rho_tau, shape (m,): exact for linear rho."""
     return corner_mean(rho, cells)
 

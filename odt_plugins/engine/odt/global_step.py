@@ -233,7 +233,7 @@ def frozen_density(
     """Density rho_tau of the present cells, held while one step is taken, shape (m,)."""
     if inverse_volume:
         return inverse_volume_density(points, cells)
-    return np.ones(len(cells)) if rho is None else cell_density(points, cells, rho)
+    return np.ones(len(cells)) if rho is None else cell_density(cells, rho)
 
 
 def global_direction(

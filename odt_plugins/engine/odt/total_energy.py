@@ -66,7 +66,7 @@ def total_energy(
 
     Returns
     -------
-    float                    equal to ``energy(points, cells, cell_density(points, cells, rho))``
+    float                    equal to ``energy(points, cells, cell_density(cells, rho))``
     """
     def work(start: int, stop: int) -> float:
         return float(_sum_energy(points, cells[start:stop], rho, False))

@@ -158,7 +158,7 @@ def _links_meet(tets: Simplices, u: int, v: int, scratch: Scratch) -> bool:
                 w, x = tets.rows[c, i], tets.rows[c, j]
                 if w == u or x == u or mark[w] != both or mark[x] != both:
                     continue
-                if _held_with(tets, v, w, x, scratch.second, others) and not _with_edge(
+                if _held_with(tets, w, x, scratch.second, others) and not _with_edge(
                         tets, v, w, x, scratch.first, cells):
                     return False
     return cells > 0
@@ -196,8 +196,8 @@ def _vertices_meet(
 
 
 @kernel
-def _held_with(s: Simplices, v: int, w: int, x: int, slots: IntArray, count: int) -> bool:
-    """Whether one of some simplices around v holds w and x."""
+def _held_with(s: Simplices, w: int, x: int, slots: IntArray, count: int) -> bool:
+    """Whether one of some simplices holds w and x."""
     for i in range(count):
         if holds(s, slots[i], w) and holds(s, slots[i], x):
             return True
@@ -227,7 +227,7 @@ def _surface_links_meet(triangles: Simplices, u: int, v: int, scratch: Scratch) 
             w = triangles.rows[c, 2]
         elif x == u:
             x = triangles.rows[c, 2]
-        if _held_with(triangles, v, w, x, scratch.second, others):
+        if _held_with(triangles, w, x, scratch.second, others):
             return False
     return cells > 0
 
