@@ -11,6 +11,9 @@ MEANT = {
     "hausd": "envelope", "maxsurfdist": "envelope", "tolerance": "envelope",
     "ar": "feature_angle", "featuredeg": "feature_angle", "hgrad": "growth",
     "jobs": "threads", "verbose": "progress",
+    "measure": "quality", "info": "quality", "check": "quality", "smooth": "optimize",
+    "improve": "optimize", "refine": "remesh", "coarsen": "remesh", "decimate": "remesh",
+    "repair": "untangle",
 }
 """Words of mmg, MeshLab and others, and the names that things of this kind have here."""
 

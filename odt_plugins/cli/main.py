@@ -51,6 +51,7 @@ from odt_plugins.cli.terminal import (
     write_beside,
 )
 from odt_plugins.errors import InvalidOptionError, NotFilledWarning, ODTError
+from odt_plugins.hints import meant
 from odt_plugins.options import OF_MESHES, OPTIONS
 from odt_plugins.processes import handling
 
@@ -115,6 +116,14 @@ class _Commands(click.Group):
             return super().get_command(ctx, cmd_name)
         command: click.Command = getattr(import_module(LATER[cmd_name]), cmd_name)
         return command
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        known = self.list_commands(ctx)
+        if args[0] not in known and (name := meant(args[0], known)):
+            ctx.fail(f"No such command {args[0]!r}. Did you mean {name!r}?")
+        return super().resolve_command(ctx, args)
 
 
 @click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"]})

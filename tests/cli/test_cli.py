@@ -378,6 +378,8 @@ def test_every_command_says_what_it_is_for_in_one_whole_line(
 BAD = [
     # (words after odt-plugins, exit code, what the sentence says)
     ("frobnicate", 2, "No such command 'frobnicate'"),
+    ("measure in.vtu", 2, "No such command 'measure'. Did you mean 'quality'?"),
+    ("optimise in.vtu", 2, "No such command 'optimise'. Did you mean 'optimize'?"),
     ("optimize", 2, "Missing argument 'INPUT'"),
     ("optimize in.vtu", 2, "Missing argument 'OUTPUT'"),
     ("optimize in.vtu out.vtu --frob", 2, "No such option"),
