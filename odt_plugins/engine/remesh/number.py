@@ -89,7 +89,7 @@ def goal_of(wish: Wish, dim: int) -> Goal | None:
 
 def out_of_reach_told(goal: Goal, count: int, mesh: SimplexMesh, options: Options) -> str:
     """Say that a number is not met, and of a larger one what allows fewer."""
-    told = (f"{count} {goal.what} are as near to the {goal.number} asked for as the promise allows")
+    told = f"{count} {goal.what} are the nearest to {goal.number} that kept the promise"
     slides = options.boundary == "slide"
     ways = {
         "a larger envelope=": slides or mesh.is_surface,

@@ -117,15 +117,15 @@ def test_sizes_that_figures_forbid_are_the_nearest_that_hold(relenting, monkeypa
 
 def test_a_count_that_is_missed_is_told():
     _, report = odt_plugins.remesh_with_report(clouds.plate(200), cells=3)
-    assert any("cells are as near to the 3 asked for" in note for note in report.notes)
+    assert any("cells are the nearest to 3 that kept" in note for note in report.notes)
 
 
 def test_what_keeps_a_curved_surface_from_a_count_is_named():
     ball = sphere(2)
     for boundary in ("slide", "fixed"):
         _, report = odt_plugins.remesh_with_report(ball, vertices=30, boundary=boundary)
-        assert any("vertices are as near to the 30 asked for as the promise allows, try a larger "
-                   "envelope=" in note for note in report.notes)
+        assert any("vertices are the nearest to 30 that kept the promise, try a larger envelope="
+                   in note for note in report.notes)
 
 
 @pytest.mark.parametrize("limited", [False, True])
