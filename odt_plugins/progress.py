@@ -17,6 +17,9 @@ from odt_plugins.options import COMPILING, Progress
 HEARING: list[Callable[[bool], object]] = []
 """Those who are told when a kernel begins and ends to be compiled, in whatever thread."""
 
+DONE = ""
+"""Stage under whose name the end of the last one is told, as before an object is changed itself."""
+
 STEP = 0.005
 """Part by which a bar in a notebook grows at least; each step is a message to the browser."""
 
@@ -48,8 +51,8 @@ def telling(progress: Progress | bool | None, first: str) -> Iterator[Progress]:
     def tell(stage: str, fraction: float) -> None:
         nonlocal reached, last
         if stage != COMPILING:
-            reached, last = max(reached, min(float(fraction), 1.0)), stage
-        report(stage, reached)
+            reached, last = max(reached, min(float(fraction), 1.0)), stage or last
+        report(stage or last, reached)
 
     tell(first, 0.0)
     yield tell

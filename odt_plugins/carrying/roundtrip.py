@@ -77,7 +77,7 @@ from odt_plugins.mesh.tangled import tangled_mesh
 from odt_plugins.metric.looks import ADVICE, MOST, looks_anisotropic
 from odt_plugins.metric.through import with_metric
 from odt_plugins.options import Options
-from odt_plugins.progress import BEFORE_FIELDS, kernels_shown, part, silent, told_whole
+from odt_plugins.progress import BEFORE_FIELDS, DONE, kernels_shown, part, silent, told_whole
 
 if TYPE_CHECKING:
     from odt_plugins.engine.run.outcome import Leaving, Outcome
@@ -219,6 +219,7 @@ def run_engine(
         result, more, told["curved"] = bent_again(
             work, given, outcome, bent, result, locating(work, given, options.threads), moves=moves)
         told["notes"] += more
+    (tell or silent)(DONE, 1.0)
     out = work.adapter.write(result, given)
     if given.higher_order:
         # The writer puts nodes on edges and faces, of which there are others.

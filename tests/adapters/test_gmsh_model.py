@@ -382,6 +382,20 @@ def test_a_refusal_of_gmsh_leaves_the_model_as_it_was(monkeypatch):
         assert same(before, dump(model))
 
 
+@pytest.mark.parametrize(("change", "order"), [
+    (odt_plugins.optimize, 2), (lambda model, **told: odt_plugins.remesh(model, 0.5, **told), 1)])
+def test_who_stops_a_run_at_its_end_finds_the_model_as_it_was(change, order):
+    def stop(_stage, share):
+        if share == 1.0:
+            raise KeyboardInterrupt
+
+    with part(order=order) as model:
+        before = dump(model)
+        with pytest.raises(KeyboardInterrupt):
+            change(model, progress=stop)
+        assert same(before, dump(model))
+
+
 @pytest.mark.parametrize("change", [
     odt_plugins.optimize, lambda model: odt_plugins.remesh(model, scale=0.7)])
 def test_elements_of_a_surface_and_a_point_whose_nodes_are_on_the_volume_keep_them(change):
