@@ -45,6 +45,16 @@ def handling(
         signal.signal(number, old)
 
 
+@contextmanager
+def held_back(number: signal.Signals) -> Iterator[None]:
+    """Let a signal wait for the end of this, as of changes that are nothing by halves."""
+    came: list[int] = []
+    with handling(number, lambda number, _: came.append(number)):
+        yield
+    if came:
+        signal.raise_signal(number)
+
+
 def end_group(process: subprocess.Popen[Any]) -> None:
     """End a process that was started with GROUP, with everything it started, and wait for that."""
     with contextlib.suppress(OSError):

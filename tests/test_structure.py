@@ -35,7 +35,7 @@ MAY_IMPORT = {
     "promise": {"errors", "mesh", "options", "figures"},
     "engine": {"progress", *BASE},
     "paper": {"engine", "mesh"},
-    "adapters": {"errors", "mesh"},
+    "adapters": {"errors", "mesh", "processes"},
     "carrying": {"adapters", "engine", "metric", "progress", *BASE},
     "report": {"carrying", "engine", "table", *BASE},
     "metric": {"adapters", "carrying", "engine", "errors", "mesh", "options"},

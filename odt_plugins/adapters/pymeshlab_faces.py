@@ -8,6 +8,7 @@ Places also tell data of faces to MeshLab's function filters.
 
 from __future__ import annotations
 
+import signal
 import weakref
 from contextlib import suppress
 from typing import Any
@@ -20,6 +21,7 @@ from odt_plugins.adapters.pymeshlab_copy import custom_attributes, muted, textur
 from odt_plugins.adapters.pymeshlab_ply import FACE_SCALAR
 from odt_plugins.adapters.wedges import carried, slid
 from odt_plugins.errors import DataNotKeptWarning, warn
+from odt_plugins.processes import held_back
 
 
 def result_in_place(meshes: Any, result: Result) -> Result | None:
@@ -84,6 +86,7 @@ def can_be_set(meshes: Any, result: Result) -> bool:
     return np.array_equal(there[0], result.points) and np.array_equal(there[1], result.cells)
 
 
+@held_back(signal.SIGINT)
 def set_faces(meshes: Any, result: Result) -> None:
     """Give the current mesh the faces of a result of :func:`result_in_place`, and its points.
 
@@ -175,6 +178,7 @@ def _keep_middles(meshes: Any) -> None:
     mesh.compact()
 
 
+@held_back(signal.SIGINT)
 def move_vertices(meshes: Any, points: NDArray[np.float64]) -> None:
     """Set the vertex coordinates of the current mesh, exactly, and nothing else.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import tempfile
 import weakref
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import Any
 
 from odt_plugins.adapters.pymeshlab_copy import add_copy, muted, needs_file, one_point
 from odt_plugins.errors import DataNotKeptWarning, ODTWarning, warn
+from odt_plugins.processes import held_back
 
 
 def copy_of_set(meshes: Any, current: Any) -> Any:
@@ -66,6 +68,7 @@ def rasters(meshes: Any) -> int:
     return int(count()) if count else 0
 
 
+@held_back(signal.SIGINT)
 def exchange(meshes: Any, new: Any) -> None:
     """Put a mesh in the place of the current one, with its id.
 

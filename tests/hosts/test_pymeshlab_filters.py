@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import re
+import signal
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -130,6 +131,34 @@ def test_optimization_flips_edges_and_says_how_many_faces_are_new():
     old = {frozenset(f) for f in flat().face_matrix().tolist()}
     new = {frozenset(f) for f in expected.face_matrix().tolist()}
     assert result["new_faces"] == len(new - old) > 0
+
+
+@pytest.mark.parametrize("change", [
+    lambda meshes: meshes.meshing_odt_optimization(),
+    lambda meshes: meshes.meshing_odt_remeshing(targetlen=pymeshlab.PureValue(0.1)),
+    lambda meshes: meshes.apply_coord_odt_smoothing()])
+def test_ctrl_c_waits_until_the_mesh_is_whole(change):
+    class Watched(pymeshlab.MeshSet):
+        stops = False
+
+        def apply_filter(self, name, **given):
+            if self.stops and name in ("compute_selection_by_edge_length",
+                                       "compute_coord_linear_morphing"):
+                signal.raise_signal(signal.SIGINT)
+            return super().apply_filter(name, **given)
+
+        def clear(self):
+            super().clear()
+            signal.raise_signal(signal.SIGINT)
+
+    meshes, whole = Watched(), flat_set()
+    meshes.add_mesh(flat(), "plate")
+    meshes.stops = True
+    with pytest.raises(KeyboardInterrupt):
+        change(meshes)
+    change(whole)
+    assert meshes.mesh_number() == 1
+    assert same(meshes, whole)
 
 
 def test_regions_and_objective_are_parameters():
