@@ -373,6 +373,26 @@ def test_what_pyvista_can_make_cells_of_is_said():
         odt_plugins.optimize(eval(call))
 
 
+def test_objects_of_a_toolkit_that_are_no_meshes_are_told_what_makes_one():
+    trimesh, occ, skfem = (pytest.importorskip(name) for name in ("trimesh", "netgen.occ", "skfem"))
+    pyvista, gmsh = (pytest.importorskip(name) for name in ("pyvista", "gmsh"))
+    solid = occ.Box((0, 0, 0), (1, 1, 1))
+    for mesh, call in ((trimesh.PointCloud(np.eye(4)[:, :3]), "mesh.convex_hull"),
+                       (solid, "mesh.GenerateMesh()"),
+                       (occ.OCCGeometry(solid), "mesh.GenerateMesh()")):
+        with pytest.raises(odt_plugins.UnsupportedMeshError) as caught:
+            odt_plugins.optimize(mesh)
+        assert str(caught.value).endswith(f"try {call}")
+        odt_plugins.optimize(eval(call))
+    basis = skfem.Basis(skfem.MeshTri(), skfem.ElementTriP1())
+    for mesh, words in ((pyvista.Table({"a": np.ones(1)}), "a PolyData or Unst.* made of it"),
+                        (trimesh.path.Path3D(), "a Trimesh made of it"),
+                        (basis, "the mesh that it is of"),
+                        (gmsh.model.mesh, "gmsh.model, if it is of gmsh")):
+        with pytest.raises(odt_plugins.UnsupportedMeshError, match=f"try {words}$"):
+            odt_plugins.optimize(mesh)
+
+
 def test_parts_of_a_collection_of_vtk_are_advised():
     vtk = pytest.importorskip("vtkmodules.vtkCommonDataModel")
     with pytest.raises(odt_plugins.UnsupportedMeshError, match=r"try mesh.GetPartition\(0, 0\)"):
