@@ -11,9 +11,11 @@ import numpy as np
 from odt_plugins.adapters import meshio_mesh, pyvista_mesh
 from odt_plugins.adapters.files import read_file
 from odt_plugins.adapters.host import HostMesh, is_instance
+from odt_plugins.adapters.lengths import NOT_CELL_INDICES
 from odt_plugins.adapters.registry import find_adapter
 from odt_plugins.engine.cells.geometry import boundary_facets
 from odt_plugins.errors import (
+    DataNotKeptWarning,
     InvalidMeshError,
     InvalidOptionError,
     ODTWarning,
@@ -29,6 +31,9 @@ from odt_plugins.tetwild import run_tetwild
 
 TETWILD_PART = 0.75
 """Part of the envelope for TetWild, which holds its surface near yours but not yours near its."""
+
+NO_DATA = ("obj:vn", "gmsh:dim_tags", "gmsh:geometrical")
+"""Arrays of meshio that tell of the surface alone."""
 
 
 class Coarse(NamedTuple):
@@ -61,6 +66,10 @@ def coarse_mesh(
     InvalidOptionError      options for tetrahedra with a mesh of triangles
     UnsupportedMeshError    the object is nothing that can be refined
     MissingDependencyError  a surface, and pytetwild is not installed
+
+    Warns
+    -----
+    DataNotKeptWarning      a surface has data, which do not come to its tetrahedra
     """
     if isinstance(mesh, str | os.PathLike):
         mesh = read_file(mesh)
@@ -86,6 +95,10 @@ def coarse_mesh(
         msg = f"got {name} for a mesh of triangles; expected it for tetrahedra only"
         raise InvalidOptionError(msg)
     points, faces = _surface(mesh)
+    if gone := _data_of(mesh):
+        msg = (f"data of the surface do not come to its tetrahedra: {', '.join(gone)}; those of "
+               f"the faces of a file do with odt_plugins.tetrahedralize(path, levels=...)")
+        warn(msg, DataNotKeptWarning)
     tell_curved(host, options.envelope)
     target = make_target(points, faces, angle)
     clock = time.perf_counter()
@@ -100,6 +113,18 @@ def coarse_mesh(
     if is_instance(mesh, "meshio", "Mesh"):
         return Coarse(meshio_mesh.tetrahedra(p, t), target, seconds, True)
     return Coarse((p, t), target, seconds, True)
+
+
+def _data_of(mesh: Any) -> list[str]:
+    """Names of sets, and of arrays of several values but normals, at points and of faces."""
+    arrays = {name: np.concatenate([np.ravel(part) for part in (
+                  values if isinstance(values, list) else [values])])
+              for kind in ("point_data", "cell_data")
+              for name, values in dict(getattr(mesh, kind, {})).items()}
+    names = {name for name, values in arrays.items()
+             if "normal" not in name.lower() and (values != values[:1]).any()}
+    names |= {*getattr(mesh, "point_sets", ()), *getattr(mesh, "cell_sets", ())}
+    return sorted(names - {*NO_DATA, *NOT_CELL_INDICES})
 
 
 def tell_curved(host: HostMesh, envelope: float) -> None:

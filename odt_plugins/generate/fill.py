@@ -29,7 +29,7 @@ from odt_plugins.errors import (
     warn,
 )
 from odt_plugins.generate.bodies import body_labels, outward
-from odt_plugins.generate.coarse import TETWILD_PART, tell_curved
+from odt_plugins.generate.coarse import NO_DATA, TETWILD_PART, tell_curved
 from odt_plugins.generate.covered import REACH, compare
 from odt_plugins.generate.levels import check_levels, refine_with_report
 from odt_plugins.mesh.arrays import FloatArray, IntArray
@@ -66,9 +66,6 @@ OF_PYTETWILD = tuple(name for name in inspect.signature(tetwild.tetrahedralize).
 
 OF_ARRAYS = ("odt", "regions_of", *OF_PYTETWILD)
 """Keywords that the file of a surface has not."""
-
-NO_FIELDS = ("obj:vn", "gmsh:dim_tags")
-"""Point arrays of meshio that tell of the surface alone."""
 
 GROUPS = ("gmsh:physical", "gmsh:geometrical")
 """Labels of Gmsh, in which 0 is none; the tetrahedra are the volume 1, or that of their body."""
@@ -286,8 +283,7 @@ def fill(
     surface = ground[0], reverse(ground[1], turned)
     envelope = options.get("envelope", make_options().envelope)
     reach = REACH * envelope * diagonal(ground[0][np.unique(ground[1])])
-    if turned.any() or not levels:
-        tell_curved(host, envelope)
+    tell_curved(host, envelope)
     label: IntArray | None = None
 
     def labelled(points: FloatArray, cells: IntArray) -> IntArray:
@@ -295,9 +291,8 @@ def fill(
 
     report: Report | LevelsReport
     if levels:
-        out, report = refine_with_report(
-            surface if turned.any() else host.source, levels, edge_length=edge_length, **options)
-        points, cells = out if turned.any() else (out.points, out.cells[0].data)
+        (points, cells), report = refine_with_report(
+            surface, levels, edge_length=edge_length, **options)
         seconds = report.meshing
         if bodies:
             label = labelled(points, cells)
@@ -332,7 +327,7 @@ def _without_a_place(mesh: Any) -> list[str]:
     vertices; of Gmsh those of physical groups.
     """
     names = [repr(name) for name, values in getattr(mesh, "point_data", {}).items()
-             if "normal" not in name.lower() and name not in NO_FIELDS and np.any(values != 0)]
+             if "normal" not in name.lower() and name not in NO_DATA and np.any(values != 0)]
     count = {noun: sum(len(block.data) for block in getattr(mesh, "cells", ())
                        if block.type.startswith(kind))
              for kind, noun in (("line", "line"), ("vertex", "single point"))}

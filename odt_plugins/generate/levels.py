@@ -112,6 +112,7 @@ def refine(
     Warns
     -----
     ODTWarning              the result is not certainly within the envelope; the report says how far
+    DataNotKeptWarning      a surface has data, which do not come to its tetrahedra
 
     Notes
     -----

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 from itertools import combinations
 
 import meshio
@@ -18,7 +19,12 @@ from strategies import SEEDS
 import odt_plugins
 from odt_plugins.cli import main as cli
 from odt_plugins.engine.cells.geometry import boundary_facets
-from odt_plugins.errors import InvalidMeshError, InvalidOptionError, ODTWarning
+from odt_plugins.errors import (
+    DataNotKeptWarning,
+    InvalidMeshError,
+    InvalidOptionError,
+    ODTWarning,
+)
 from odt_plugins.generate import coarse, project, refine3d
 
 DOUBLE = np.dtype(np.float64)
@@ -296,6 +302,24 @@ def test_surfaces_of_every_kind_are_meshed_coarsely_first(meshed, tmp_path):
     assert all(len(call["vertices"]) == len(points) for call in meshed)
     assert shares[: len(shares) // 4] == sorted(shares[: len(shares) // 4])
     assert max(shares) == 1.0
+
+
+@pytest.mark.filterwarnings("ignore:the boundary is up to")
+def test_data_of_a_surface_that_do_not_come_to_tetrahedra_are_named(meshed, tmp_path):
+    points, faces = surface_meshes.sphere(3)
+    side = np.where(points[faces].mean(axis=1)[:, 0] < 0, "left", "right")
+    surface = pyvista.PolyData.from_regular_faces(points, faces).compute_normals()
+    surface.point_data["one"] = np.ones(len(points))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", DataNotKeptWarning)
+        odt_plugins.refine(surface, 0)
+    surface.point_data["T"], surface.cell_data["side"] = points[:, 0], side
+    with pytest.warns(DataNotKeptWarning, match="do not come to its tetrahedra: T, side; those"):
+        odt_plugins.refine(surface, 0)
+    mesh = meshio.Mesh(points, [("triangle", faces)],
+                       cell_data={"name": [side.astype(object)]}, cell_sets={"all": [[0, 1]]})
+    with pytest.warns(DataNotKeptWarning, match="tetrahedra: all, name; those"):
+        odt_plugins.refine(mesh, 0)
 
 
 def test_no_level_optimises_the_coarse_mesh(meshed):
