@@ -63,7 +63,7 @@ HINTS = {
     "trimesh.PointCloud": "mesh.convex_hull",
     "trimesh.Path2D": "mesh.triangulate()",
     "trimesh.VoxelGrid": "mesh.marching_cubes",
-    "trimesh": "a Trimesh made of it",
+    "trimesh": "a Trimesh of vertices and faces",
     "netgen": "mesh.GenerateMesh()",
     "ngsolve": "the ngsolve.Mesh that it is of",
     "skfem": "the mesh that it is of",

@@ -386,7 +386,7 @@ def test_objects_of_a_toolkit_that_are_no_meshes_are_told_what_makes_one():
         odt_plugins.optimize(eval(call))
     basis = skfem.Basis(skfem.MeshTri(), skfem.ElementTriP1())
     for mesh, words in ((pyvista.Table({"a": np.ones(1)}), "a PolyData or Unst.* made of it"),
-                        (trimesh.path.Path3D(), "a Trimesh made of it"),
+                        (trimesh.path.Path3D(), "a Trimesh of vertices and faces"),
                         (basis, "the mesh that it is of"),
                         (gmsh.model.mesh, "gmsh.model, if it is of gmsh")):
         with pytest.raises(odt_plugins.UnsupportedMeshError, match=f"try {words}$"):
