@@ -259,9 +259,11 @@ def _neighbours(cells: NDArray[Any]) -> tuple[NDArray[np.intp], NDArray[np.intp]
 
 def _expect(arrays: Mapping[str, NDArray[Any]], name: str) -> None:
     if name not in arrays:
-        known = f"one of {sorted(arrays)} or " if arrays else ""
+        names = sorted(key for key, values in arrays.items()
+                       if values[:1].size == 1 and values.dtype.kind != "c")
+        known = f"one of {names} or " if names else ""
         none = " and finds no texture" if name == CHARTS else ""
-        none += "" if arrays else ", the mesh has none"
+        none += "" if names else ", the mesh has none"
         msg = (f"regions={name!r} names no cell array{none}; "
                f"expected {known}an array of integer labels, one per cell")
         raise InvalidOptionError(msg)

@@ -122,6 +122,17 @@ def test_several_names_combine_their_labels(names):
         "right,top",)
 
 
+def test_arrays_of_vectors_and_complex_numbers_are_not_advised_as_labels():
+    data = {"rock": np.ones(1), "v": np.ones((1, 3)), "z": np.ones(1) * 1j}
+    mesh = meshio.Mesh(np.eye(4)[:, :3], [("tetra", np.array([[3, 0, 1, 2]]))],
+                       cell_data={name: [values] for name, values in data.items()})
+    with pytest.raises(InvalidOptionError, match=r"expected one of \['rock'\] or an array"):
+        odt_plugins.optimize(mesh, regions="rocks")
+    del mesh.cell_data["rock"]
+    with pytest.raises(InvalidOptionError, match="the mesh has none; expected an array"):
+        odt_plugins.optimize(mesh, regions="rocks")
+
+
 def test_names_are_told_from_arrays():
     assert all(are_names(value) for value in (None, "auto", "a", ("a", "b"), ["a"]))
     assert not any(are_names(value) for value in ([1, 2], np.array([1]), (), np.array(["a"])))
