@@ -30,6 +30,7 @@ from odt_plugins.errors import (
     InvalidMeshError,
     InvalidOptionError,
     NotFilledWarning,
+    UnsupportedMeshError,
     exit_name,
     plain_values,
     require,
@@ -331,11 +332,18 @@ def read_surface(vertices: Any, faces: Any) -> dict[str, Any]:
     """The vertices that have a face, and the faces, which name these.
 
     TetWild measures its lengths by the box around all vertices. What would end it without a word
-    is refused; what is no array, pytetwild names.
+    is refused, and what the process of TetWild does not get; lists, pytetwild names.
     """
-    if not isinstance(vertices, np.ndarray) or not isinstance(faces, np.ndarray):
+    given = {"vertices": vertices, "faces": faces}
+    for name, value in given.items():
+        if not isinstance(value, np.ndarray | list | tuple):
+            what = "vertices" if name == "vertices" else "triangles"
+            msg = (f"got {name} of type {type(value).__name__}; expected a NumPy array, such as "
+                   f"numpy.asarray(mesh.{what})")
+            raise UnsupportedMeshError(msg)
+    if not all(isinstance(value, np.ndarray) for value in given.values()):
         return {}
-    for name, array in (("vertices", vertices), ("faces", faces)):
+    for name, array in given.items():
         plain_values(name, array, InvalidMeshError)
         if array.dtype.kind == "c":
             msg = f"{name} have dtype {array.dtype}; expected real numbers, try {name}.real"

@@ -203,6 +203,18 @@ def test_a_mesh_of_a_toolkit_in_place_of_arrays_is_refused(package, name, hint):
             call(mesh)
 
 
+def test_vectors_of_a_toolkit_are_refused_with_what_makes_arrays_of_them(stored):
+    open3d = pytest.importorskip("open3d")
+    mesh = open3d.geometry.TriangleMesh(open3d.utility.Vector3dVector(CUBE),
+                                        open3d.utility.Vector3iVector(FACES))
+    for vertices, faces, name in ((mesh.vertices, mesh.triangles, "vertices"),
+                                  (CUBE, mesh.triangles, "triangles"), (mesh, FACES, "vertices")):
+        with pytest.raises(UnsupportedMeshError, match=rf"such as numpy.asarray\(mesh.{name}\)$"):
+            odt_plugins.tetrahedralize(vertices, faces)
+    odt_plugins.tetrahedralize(np.asarray(mesh.vertices), np.asarray(mesh.triangles))
+    np.testing.assert_array_equal(stored[1][0]["faces"], FACES)
+
+
 @pytest.mark.parametrize("call", [
     odt_plugins.tetrahedralize, odt_plugins.tetrahedralize_with_report,
     lambda *given: odt_plugins.tetrahedralize(*given, odt=False)])
