@@ -1,4 +1,5 @@
-"""Arrays of other libraries, `(points, cells)` or `(points, cells, regions)`: PyTorch, CuPy, JAX.
+"""Arrays of other libraries, `(points, cells)` or `(points, cells, regions)`: PyTorch, CuPy, JAX,
+tensors of open3d.
 
 Any array that has `__dlpack__` is read through it, without a copy where it is in the memory of the
 processor. The class of the sequence, kinds and types of the arrays and their devices survive.
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 
 from odt_plugins.adapters import arrays
 from odt_plugins.adapters.host import HostMesh, Result
-from odt_plugins.errors import InvalidMeshError
+from odt_plugins.errors import InvalidMeshError, UnsupportedMeshError
 
 
 def matches(mesh: object) -> bool:
@@ -35,7 +36,8 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
 
     Raises
     ------
-    InvalidMeshError    an array cannot be read
+    InvalidMeshError        an array cannot be read
+    UnsupportedMeshError    there is no way to make arrays of its kind
     """
     parts = [_as_numpy(part, name) for part, name
              in zip(mesh, ("points", "cells", "regions"), strict=False)]
@@ -55,6 +57,10 @@ def _as_numpy(part: Any, name: str) -> Any:
     """The numbers of an array of any library; lists and numpy's own arrays as they are."""
     if isinstance(part, np.ndarray | list | tuple):
         return part
+    if _maker(part) is None:
+        msg = (f"got {name} of type {type(part).__name__}, of which a library without asarray "
+               f"makes no new ones; expected arrays of numpy, try numpy.from_dlpack on each")
+        raise UnsupportedMeshError(msg)
     try:
         return np.from_dlpack(part)
     # What a library raises where it cannot export is up to the library.
@@ -90,11 +96,18 @@ def _like(old: Any, new: Any) -> Any:
     if isinstance(old, np.ndarray | list | tuple):
         return new
     values: NDArray[Any] = np.ascontiguousarray(new)
+    make: Any = _maker(old)
+    if not hasattr(old, "device"):
+        return make(values)
+    try:
+        return make(values, device=old.device)
+    except TypeError:
+        made = make(values)
+        return made.to(old.device) if hasattr(made, "to") else made
+
+
+def _maker(old: Any) -> Any:
+    """What makes arrays of the kind of one of another library; None where nothing does."""
     library = (old.__array_namespace__() if hasattr(old, "__array_namespace__")
                else sys.modules[type(old).__module__.partition(".")[0]])
-    if not hasattr(old, "device"):
-        return library.asarray(values)
-    try:
-        return library.asarray(values, device=old.device)
-    except TypeError:
-        return library.asarray(values)
+    return getattr(library, "asarray", None) or getattr(old, "from_numpy", None)

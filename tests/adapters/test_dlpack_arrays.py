@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import odt_plugins
-from odt_plugins.errors import InvalidMeshError
+from odt_plugins.errors import InvalidMeshError, UnsupportedMeshError
 
 
 def _torch(values):
@@ -19,7 +19,14 @@ def _torch(values):
     return torch.asarray(values)
 
 
-MAKERS = {"foreign": contract.Foreign} | ({"torch": _torch} if find_spec("torch") else {})
+def _open3d(values):
+    from open3d.core import Tensor
+
+    return Tensor(np.array(values))
+
+
+MAKERS = {"foreign": contract.Foreign} | {
+    name: make for name, make in (("torch", _torch), ("open3d", _open3d)) if find_spec(name)}
 """What makes an array of a library. PyTorch is an extra of its own, since it is large."""
 
 
@@ -86,6 +93,14 @@ class Torn(contract.Foreign):
 class Odd(contract.Foreign):
     def __dlpack__(self, **options):
         raise RuntimeError("no such type: bfloat16")
+
+
+def test_arrays_of_a_library_that_makes_no_others_are_refused_before_any_work(monkeypatch):
+    points, cells, _ = contract.grid(2, 4)
+    monkeypatch.delattr(contract.Foreign, "__array_namespace__", raising=False)
+    monkeypatch.delattr(contract, "asarray", raising=False)
+    with pytest.raises(UnsupportedMeshError, match=r"cells of type Foreign, .*from_dlpack on"):
+        odt_plugins.optimize((points, contract.Foreign(cells)))
 
 
 def test_arrays_that_cannot_be_read_are_named():
