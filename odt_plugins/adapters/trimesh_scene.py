@@ -84,6 +84,7 @@ def replaced(mesh: Any, results: dict[str, Any]) -> Any:
     """Copy the scene and put the results in the places of the geometries."""
     out = mesh.copy()
     out.__class__ = type(mesh)
+    out.metadata = deepcopy(mesh.metadata)
     vars(out).update({name: deepcopy(value) for name, value in vars(mesh).items()
                       if name not in vars(out)})
     for name, part in results.items():

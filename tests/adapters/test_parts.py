@@ -97,6 +97,13 @@ def test_a_scene_is_optimised_geometry_by_geometry():
         out.to_mesh().faces.shape)
 
 
+def test_what_is_changed_in_the_metadata_of_a_result_stays_as_it_is_in_the_scene():
+    scene = scene_of([bowl(1)])
+    scene.metadata["units"] = {"length": ["mm"]}
+    odt_plugins.optimize(scene, envelope=0.02).metadata["units"]["length"].append("m")
+    assert scene.metadata["units"] == {"length": ["mm"]}
+
+
 @pytest.mark.parametrize("away", [0.0, 3.0])
 def test_parts_that_touch_do_not_come_apart(away):
     """Two halves of a bowl, the second moved by its node, and a fin that stands on the first."""
