@@ -22,6 +22,7 @@ A Mesh that comes back belongs to a MeshSet of its own, which lives as long as i
 
 from __future__ import annotations
 
+import re
 import weakref
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -115,8 +116,7 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
         kept=tuple(part for part in kept if len(part.rows)),
         source=mesh,
         texture=texture,
-        words=lambda text: text.replace("merging vertices at the same place",
-                                        "meshing_remove_duplicate_vertices()"),
+        words=in_words,
         fields=sampled(_vertex_data(inner, copy)),
         densities=dense(arrays | _face_data(inner, copy)),
         follows=False,
@@ -146,6 +146,12 @@ def write(result: Result, host: HostMesh) -> Any:
     else:
         copy = rebuilt(mesh, result)
     return copy_of_set(source, copy) if whole else standing_alone(copy)
+
+
+def in_words(text: str) -> str:
+    """Put an error message into MeshLab's words."""
+    text = text.replace("merging vertices at the same place", "meshing_remove_duplicate_vertices()")
+    return re.sub(r"\bcell(s?)\b", r"face\1", text)
 
 
 def standing_alone(owner: Any) -> Any:

@@ -706,3 +706,12 @@ def test_threads_leave_the_streams_of_the_process():
     with ThreadPoolExecutor(8) as pool:
         list(pool.map(work, range(40)))
     assert [os.fstat(stream).st_ino for stream in (1, 2)] == before
+
+
+def test_errors_speak_of_faces():
+    points, faces, _ = contract.grid(2, 4)
+    meshes = pymeshlab.MeshSet()
+    meshes.add_mesh(pymeshlab.Mesh(np.column_stack([points, 0 * points[:, 0]]), faces))
+    for mesh in (meshes, meshes.current_mesh()):
+        with pytest.raises(odt_plugins.InvalidOptionError, match=r"one for each face$"):
+            odt_plugins.remesh(mesh, np.ones(3))
