@@ -26,12 +26,12 @@ from odt_plugins.adapters import (
 from odt_plugins.adapters.comparing import not_kept, other_types
 from odt_plugins.adapters.fitting import FORMS, fitted, unheld
 from odt_plugins.adapters.formats import (
-    COMPANIONS,
     READERS,
     REWRITERS,
     WRITERS,
     gmsh_groups,
     gmsh_tables,
+    settle,
 )
 from odt_plugins.adapters.formats.change import Change, NotRewritable, Origin, origin_of
 from odt_plugins.adapters.formats.decks import DECK, UNREAD
@@ -223,7 +223,8 @@ def write_file(
     Warns
     -----
     DataNotKeptWarning     the format holds the mesh but drops or renames data or rounds
-                           coordinates; or what meshio says when nothing is lost
+                           coordinates; or what meshio says when nothing is lost; or a file
+                           beside it will be read with it that does not belong to it
     """
     path = Path(path)
     check_output(path)
@@ -247,9 +248,7 @@ def write_file(
                 lost += renamed
                 remarks += more
                 lost += mesh.info.get(UNREAD, []) if isinstance(mesh.info, dict) else []
-            for suffix in COMPANIONS.get(name, ()):
-                if not made.with_suffix(suffix).exists():
-                    (real.parent / made.name).with_suffix(suffix).unlink(missing_ok=True)
+            beside_it = settle(made, real.parent, name)
             # Formats such as xdmf write companions; the file that refers to them comes last.
             for part in sorted(beside.iterdir(), key=lambda part: part == made):
                 os.replace(part, real if part == made else real.parent / part.name)
@@ -260,8 +259,8 @@ def write_file(
         hint = "" if trimesh_scene.matches(mesh) else f"; try {other}"
         msg = f"{path} does not keep {', '.join(lost)}{hint}"
         warn(msg, DataNotKeptWarning)
-        return
-    for remark in remarks:
+        remarks = []
+    for remark in remarks + beside_it:
         warn(f"{path}: {remark}", DataNotKeptWarning)
 
 

@@ -159,3 +159,64 @@ def test_a_copy_that_cannot_be_read_is_told_in_one_sentence(tmp_path, monkeypatc
     with pytest.raises(MeshFileError, match=said):
         write_file(tmp_path / "b.mesh", mesh)
     assert [path.name for path in tmp_path.iterdir()] == ["a.mesh"]
+
+
+@pytest.mark.parametrize("suffix", [".sol", ".solb"])
+def test_tensors_that_are_not_symmetric_come_back(d, suffix, tmp_path):
+    full = values(4**d, d * d)
+    mesh = made(d, tmp_path, suffix.replace("sol", "mesh"), sol1=values(4**d), sol2=full)
+    target = tmp_path / f"a{suffix.replace('sol', 'mesh')}"
+    back = read_file(target).point_data
+    assert np.array_equal(back["sol2"], full)
+    assert np.array_equal(back["sol1"], mesh.point_data["sol1"])
+    kinds = b"2 1 4" if suffix == ".sol" else struct.pack("<iii", 2, 1, 4)
+    assert kinds in (tmp_path / f"a{suffix}").read_bytes()
+
+
+@pytest.mark.parametrize("text", [True, False])
+def test_solutions_elsewhere_than_at_vertices_are_named(text, tmp_path):
+    made(2, tmp_path, sol=values(16))
+    if text:
+        with (tmp_path / "a.sol").open("a", encoding="ascii") as file:
+            file.write("SolAtTriangles\n1\n1 1\n5.0\nEnd\n")
+    else:
+        (tmp_path / "a.sol").unlink()
+        data = struct.pack("<iiiii", 1, 2, 3, 20, 2)
+        for code, count in ((64, 1), (62, 16)):
+            at = len(data) + 8 + 12 + 8 * count
+            data += struct.pack("<iiiii", code, at, count, 1, 1) + bytes(8 * count)
+        # as mmg ends its files
+        (tmp_path / "a.solb").write_bytes(data + struct.pack("<i", 54))
+    with pytest.warns(DataNotKeptWarning, match=r"a\.solb? has SolAtTriangles, of which nothing "):
+        assert read_file(tmp_path / "a.mesh").point_data["sol"].shape == (16,)
+
+
+def test_solutions_of_the_plane_are_so_in_space(tmp_path):
+    points, cells = jittered(2, 3, 0)
+    write_file(tmp_path / "a.mesh", meshio.Mesh(
+        np.column_stack([points, np.ones(16)]), [("triangle", cells)]))
+    text = "MeshVersionFormatted 2\nDimension 2\nSolAtVertices\n16\n4 1 2 3 4\n"
+    (tmp_path / "a.sol").write_text(text + "1 2 3 100 0 25 6 7 8 9\n" * 16, encoding="ascii")
+    found = read_file(tmp_path / "a.mesh")
+    for name, row in (("sol1", 1), ("sol2", [2, 3, 0]), ("sol3", [100, 0, 25, 0, 0, 0]),
+                      ("sol4", [6, 7, 0, 8, 9, 0, 0, 0, 0])):
+        assert np.array_equal(found.point_data[name][3], row)
+    assert odt_plugins.optimize_with_report(found, metric="sol3")[1].after.mean_quality > 0.5
+    write_file(tmp_path / "b.mesh", found)
+    assert np.array_equal(read_file(tmp_path / "b.mesh").point_data["sol3"][3], [100, 0, 25, 0, 0,
+                                                                                 0])
+
+
+@pytest.mark.parametrize("left", [".sol", ".solb"])
+def test_solutions_that_are_left_beside_another_mesh_are_named(left, tmp_path):
+    mesh = made(2, tmp_path, left.replace("sol", "mesh"), sol=values(16))
+    mesh.point_data = {}
+    said = rf"a\.mesh: a\{left} beside it stays, and is read with it though it is no part of it"
+    with pytest.warns(DataNotKeptWarning, match=said):
+        write_file(tmp_path / "a.mesh", mesh)
+    mesh.point_data = {"sol": values(16)}
+    write_file(tmp_path / "a.mesh", mesh)
+    with pytest.warns(DataNotKeptWarning) as told:
+        write_file(tmp_path / "a.mesh", meshio.Mesh(mesh.points, mesh.cells, {"u": values(16)}))
+    assert any("does not keep point data 'u'" in str(one.message) for one in told)
+    assert any("a.sol beside it stays" in str(one.message) for one in told)

@@ -111,3 +111,26 @@ WRITERS: dict[str, Callable[[Path, Any, bool | None], list[str]]] = {
 
 COMPANIONS = {"tetgen": tuple(tetgen.BESIDE)}
 """Suffixes of files that are read beside the file of a mesh, and are there or not."""
+
+BESIDE = {"medit": (".sol", ".solb")}
+"""Suffixes of files that are read beside the file of a mesh, and may be those of others."""
+
+
+def settle(made: Path, folder: Path, name: str) -> list[str]:
+    """Take away what was beside a mesh file that is replaced; tell of what may be others'.
+
+    Parameters
+    ----------
+    made : path      of the file that will be in `folder`, with others beside it that were made
+    folder : path
+    name : str       of the format
+    """
+    for suffix in COMPANIONS.get(name, ()):
+        if not made.with_suffix(suffix).exists():
+            (folder / made.name).with_suffix(suffix).unlink(missing_ok=True)
+    beside = BESIDE.get(name, ())
+    if any(made.with_suffix(suffix).exists() for suffix in beside):
+        return []
+    there = [(folder / made.name).with_suffix(suffix) for suffix in beside]
+    return [f"{other.name} beside it stays, and is read with it though it is no part of it; try "
+            f"another name, or remove it" for other in there if other.is_file()]

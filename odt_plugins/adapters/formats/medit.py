@@ -113,7 +113,7 @@ def read(path: Path) -> Any:
 
 def _with_solutions(path: Path, mesh: Any) -> Any:
     """The mesh with the solutions beside its file as point arrays."""
-    mesh.point_data |= medit_solution.read(path, len(mesh.points))
+    mesh.point_data |= medit_solution.read(path, *mesh.points.shape)
     return mesh
 
 

@@ -1,7 +1,7 @@
-"""MEDIT solutions, .sol and .solb beside .mesh and .meshb: numbers, vectors, metrics of vertices.
+"""MEDIT solutions, .sol and .solb beside .mesh and .meshb: numbers, vectors, tensors of vertices.
 
 A symmetric tensor is m11 m12 m22 in the plane and m11 m12 m22 m13 m23 m33 in space, as
-:mod:`odt_plugins.engine.cells.tensors` packs it.
+:mod:`odt_plugins.engine.cells.tensors` packs it; any other one has its rows.
 """
 
 from __future__ import annotations
@@ -22,7 +22,10 @@ NAME = "sol"
 
 KIND = "SolAtVertices"
 
-CODES = {"Dimension": 3, "End": 54, KIND: 62}
+AT = ("Vertices", "Edges", "Triangles", "Quadrilaterals", "Tetrahedra", "Prisms", "Hexahedra")
+"""What solutions are at."""
+
+CODES = {"Dimension": 3, "End": 54} | {f"SolAt{name}": 62 + i for i, name in enumerate(AT)}
 """Keywords of binary files."""
 
 SUFFIX = {".mesh": ".sol", ".meshb": ".solb"}
@@ -32,8 +35,8 @@ TEXT = re.compile(rb"#[^\r\n]*")
 
 
 def widths(dim: int) -> dict[int, int]:
-    """How many numbers every type of solution has: number, vector, symmetric tensor."""
-    return {1: 1, 2: dim, 3: dim * (dim + 1) // 2}
+    """How many numbers every type of solution has: number, vector, symmetric and other tensor."""
+    return {1: 1, 2: dim, 3: dim * (dim + 1) // 2, 4: dim * dim}
 
 
 def is_solution(name: str, values: Any, dim: int) -> bool:
@@ -44,17 +47,18 @@ def is_solution(name: str, values: Any, dim: int) -> bool:
         wide in widths(dim).values())
 
 
-def read(path: Path, n: int) -> dict[str, NDArray[np.float64]]:
+def read(path: Path, n: int, space: int) -> dict[str, NDArray[np.float64]]:
     """Solutions at the vertices of a mesh, from the file beside it if there is one.
 
     Parameters
     ----------
     path : path            of the mesh
     n : int                how many vertices it has
+    space : int            how many coordinates they have
 
     Returns
     -------
-    dict                   (n,), (n, d) or (n, d (d + 1) / 2) by their names
+    dict                   (n,), (n, d), (n, d (d + 1) / 2) or (n, d^2) by their names
 
     Raises
     ------
@@ -62,7 +66,7 @@ def read(path: Path, n: int) -> dict[str, NDArray[np.float64]]:
 
     Warns
     -----
-    DataNotKeptWarning     the file is of another mesh, or has no solutions at vertices
+    DataNotKeptWarning     the file is of another mesh, or has solutions elsewhere than at vertices
     """
     own = SUFFIX.get(path.suffix.lower(), ".sol")
     places = [path.with_suffix(suffix) for suffix in (own, *({".sol", ".solb"} - {own}))]
@@ -72,7 +76,7 @@ def read(path: Path, n: int) -> dict[str, NDArray[np.float64]]:
     data = there[0].read_bytes()
     try:
         binary = there[0].suffix == ".solb"
-        dim, kinds, table = _binary(data) if binary else _text(data)
+        dim, kinds, table, others = _binary(data) if binary else _text(data)
     except (ValueError, IndexError, KeyError, struct.error) as exc:
         msg = f"{there[0].name} ends before the values that it says, or has others than numbers"
         raise MeshFileError(msg) from exc
@@ -80,10 +84,15 @@ def read(path: Path, n: int) -> dict[str, NDArray[np.float64]]:
         what = f"values for {len(table)} vertices, not for {n}" if kinds else "none at vertices"
         warn(f"{there[0].name} is not read, it has {what}", DataNotKeptWarning)
         return {}
+    if others:
+        warn(f"{there[0].name} has {', '.join(sorted(others))}, of which nothing is read",
+             DataNotKeptWarning)
     out, start = {}, 0
     for i, kind in enumerate(kinds, 1):
         width = widths(dim)[kind]
         part = table[:, start:start + width]
+        if (dim, space) == (2, 3):
+            part = _in_space(part, kind)
         out[NAME if len(kinds) == 1 else f"{NAME}{i}"] = part[:, 0] if kind == 1 else part
         start += width
     return out
@@ -110,12 +119,13 @@ def write(path: Path, dim: int, arrays: Mapping[str, Any]) -> None:
     target.write_text(f"{head}{body}\n\nEnd\n", encoding="ascii")
 
 
-def _text(data: bytes) -> tuple[int, list[int], NDArray[np.float64]]:
-    """Dimension, types and values (n, ...) of a file of text."""
+def _text(data: bytes) -> tuple[int, list[int], NDArray[np.float64], set[str]]:
+    """Dimension, types and values (n, ...) of a file of text, and its other solutions."""
     words = TEXT.sub(b"", data).split()
     dim = int(words[words.index(b"Dimension") + 1])
+    others = {word.decode("ascii") for word in words if word.startswith(b"SolAt")} - {KIND}
     if KIND.encode() not in words:
-        return dim, [], np.zeros((0, 0))
+        return dim, [], np.zeros((0, 0)), others
     start = words.index(KIND.encode()) + 1
     n, count = int(words[start]), int(words[start + 1])
     kinds = [int(word) for word in words[start + 2:start + 2 + count]]
@@ -123,33 +133,49 @@ def _text(data: bytes) -> tuple[int, list[int], NDArray[np.float64]]:
     first = start + 2 + count
     plain = [word.replace(b"D", b"e").replace(b"d", b"e") for word in
              words[first:first + n * width]]
-    return dim, kinds, np.array(plain, dtype=np.bytes_).astype(np.float64).reshape(n, width)
+    table = np.array(plain, dtype=np.bytes_).astype(np.float64).reshape(n, width)
+    return dim, kinds, table, others
 
 
-def _binary(data: bytes) -> tuple[int, list[int], NDArray[np.float64]]:
-    """Dimension, types and values (n, ...) of a binary file, of either order of bytes."""
+def _binary(data: bytes) -> tuple[int, list[int], NDArray[np.float64], set[str]]:
+    """As :func:`_text`, of a binary file of either order of bytes."""
     order = "<" if struct.unpack_from("<i", data)[0] == 1 else ">"
     version = struct.unpack_from(order + "i", data, 4)[0]
     place = "q" if version >= 3 else "i"
     dim, at = 0, 8
-    for _ in range(len(data) // 4):
+    kinds: list[int] = []
+    table, others = np.zeros((0, 0)), set()
+    names = {code: name for name, code in CODES.items()}
+    head = struct.calcsize("<i" + place)
+    # Those of mmg end with a code alone, behind which there is no place.
+    while not kinds or at + head <= len(data):
         code, following = struct.unpack_from(order + "i" + place, data, at)
-        inside = at + struct.calcsize("<i" + place)
-        if code == CODES["Dimension"]:
+        inside = at + head
+        name = names.get(code, "")
+        if name == "Dimension":
             dim = struct.unpack_from(order + "i", data, inside)[0]
-        if code == CODES[KIND]:
+        elif name == KIND:
             size = "q" if version >= 4 else "i"
             n, count = struct.unpack_from(order + size + "i", data, inside)
             inside += struct.calcsize("<" + size + "i")
             kinds = list(struct.unpack_from(order + f"{count}i", data, inside))
             width = sum(widths(dim)[kind] for kind in kinds)
             real = np.dtype(order + ("f4" if version == 1 else "f8"))
-            table = np.frombuffer(data, real, n * width, inside + 4 * count)
-            return dim, kinds, table.astype(np.float64).reshape(n, width)
-        if code == CODES["End"] or following <= at:
+            found = np.frombuffer(data, real, n * width, inside + 4 * count)
+            table = found.astype(np.float64).reshape(n, width)
+        elif name.startswith("SolAt"):
+            others.add(name)
+        if name == "End" or following <= at:
             break
         at = following
-    return dim, [], np.zeros((0, 0))
+    return dim, kinds, table, others
+
+
+def _in_space(part: NDArray[np.float64], kind: int) -> NDArray[np.float64]:
+    """Vectors and tensors of the plane in space, 0 normal to it."""
+    if kind == 4:
+        return np.pad(part.reshape(-1, 2, 2), ((0, 0), (0, 1), (0, 1))).reshape(-1, 9)
+    return np.pad(part, ((0, 0), (0, widths(3)[kind] - part.shape[1])))
 
 
 def _packed(dim: int, kinds: list[int], table: NDArray[np.float64]) -> bytes:
