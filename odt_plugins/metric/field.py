@@ -35,6 +35,9 @@ LENGTHS = (1e-5, 0.5)
 SIGNED = {2: 3.5, 3: 4.0}
 """What the squared trace of a form counts for the squared error beside the trace of its square."""
 
+LARGE = 1e300
+"""Largest value of a field whose range surely is a number."""
+
 TRIES = 12
 """Most scales that are tried until the metric has its number of cells."""
 
@@ -286,8 +289,9 @@ def cells_of_metric(
 
 def _of_unit_range(field: FloatArray, cells: IntArray) -> FloatArray:
     """A field times the power of two that brings its range near 1: units do not change metrics."""
+    field = np.ldexp(field, -2) if np.abs(field).max() > LARGE else field
     spread = float(np.ptp(field[vertices_of(cells)], axis=0).max())
-    return np.ldexp(field, -math.frexp(spread)[1]) if spread < math.inf else field
+    return np.ldexp(field, -math.frexp(spread)[1])
 
 
 def _least(points: FloatArray, cells: IntArray, field: FloatArray) -> float:

@@ -269,12 +269,12 @@ def test_what_is_no_field_is_refused(change, message):
         odt_plugins.metric_from_field(layers(), **given)
 
 
-@pytest.mark.parametrize("unit", [1e-250, 1e-120, 1e120, 1e250])
+@pytest.mark.parametrize("unit", [1e-250, 1e-120, 1e120, 1e250, 1e308])
 def test_the_unit_of_a_field_changes_no_metric(unit):
     x, y = np.meshgrid(np.linspace(0, 1, 6), np.linspace(0, 1, 6))
     points = np.stack([x.ravel(), y.ravel()], axis=1)
     mesh = points, Delaunay(points).simplices
-    field = points[:, 0] ** 2 + 0.3 * points[:, 1] ** 2
+    field = 2.0 * points[:, 0] ** 2 + 0.6 * points[:, 1] ** 2 - 1.3
     known = odt_plugins.metric_from_field(mesh, field, 500)
     np.testing.assert_allclose(odt_plugins.metric_from_field(mesh, unit * field, 500), known,
                                rtol=1e-6, atol=1e-6 * known.max())
