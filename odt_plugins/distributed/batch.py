@@ -34,7 +34,7 @@ from odt_plugins.distributed.job import (
     compiling,
     too_little,
 )
-from odt_plugins.distributed.keys import job_key, placed
+from odt_plugins.distributed.keys import job_key, placed, read_alone
 from odt_plugins.distributed.local import end_with
 from odt_plugins.distributed.scratch import clear, make_scratch
 from odt_plugins.distributed.versions import expect_versions, versions_here
@@ -114,7 +114,7 @@ class Job:
 
 
 def find_inputs(patterns: Sequence[str], out: Path | None = None) -> list[str]:
-    """List the files that paths and patterns such as models/**/*.stl name.
+    """List the meshes that paths and patterns such as models/**/*.stl name.
 
     Parameters
     ----------
@@ -138,7 +138,7 @@ def find_inputs(patterns: Sequence[str], out: Path | None = None) -> list[str]:
             msg = f"got {pattern!r}, which names no file; expected a path or a pattern"
             raise InvalidOptionError(msg)
         found += paths
-    return found
+    return read_alone(found)
 
 
 def _is_result(path: str, out: Path) -> bool:

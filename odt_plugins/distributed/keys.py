@@ -9,9 +9,11 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from odt_plugins.adapters.files import chosen_format
 from odt_plugins.adapters.stated import parts_of
 from odt_plugins.distributed.named import MASKS
 from odt_plugins.distributed.versions import versions_here
+from odt_plugins.errors import MeshFileError, MissingDependencyError
 from odt_plugins.report.machine import installed_version
 
 OF_FILES = ("reference", *MASKS)
@@ -51,6 +53,27 @@ def job_key(job: Any) -> str:
     rest = [options, job.name, job.tetrahedralize, job.edge_length, job.levels, job.sizes, versions]
     digest.update(json.dumps(rest, sort_keys=True).encode())
     return digest.hexdigest()
+
+
+def read_alone(paths: list[str]) -> list[str]:
+    """Leave out files that are read with another one of them, and are no meshes by their suffix."""
+    others = {os.path.abspath(path) for path in paths if not _may_be_mesh(path)}
+    if others:
+        others &= {os.path.abspath(other) for path in paths
+                   if _may_be_mesh(path) and os.access(path, os.R_OK)
+                   for other in _read_with(Path(path))}
+    return [path for path in paths if os.path.abspath(path) not in others]
+
+
+def _may_be_mesh(path: str) -> bool:
+    """Whether a suffix is one of mesh files."""
+    try:
+        chosen_format(Path(path))
+    except MeshFileError:
+        return False
+    except MissingDependencyError:
+        pass
+    return True
 
 
 def _read_with(path: Path) -> list[Path]:

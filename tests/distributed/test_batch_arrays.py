@@ -14,7 +14,7 @@ from scipy.spatial import ConvexHull, Delaunay
 from odt_plugins.adapters.files import write_file
 from odt_plugins.cli.main import main
 from odt_plugins.compare.start import ball
-from odt_plugins.distributed.batch import job_key, make_jobs
+from odt_plugins.distributed.batch import find_inputs, job_key, make_jobs
 
 pyarrow = pytest.importorskip("pyarrow")
 pytest.importorskip("pyarrow.parquet")
@@ -125,3 +125,17 @@ def test_rows_have_the_areas_of_triangles_and_no_column_stays_empty(tmp_path, mo
     found = pyarrow.parquet.read_table(tmp_path / "out" / "summary.parquet").to_pylist()
     assert [str(row["after_area"] or "") for row in found] == [row["after_area"] for row in rows]
     assert [type(row["before_turned"]) for row in found] == [int, int]
+
+
+def test_files_that_are_read_with_another_one_are_no_inputs(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    start = ball(60)
+    solution = {"sol": np.ones(len(start.points))}
+    for name in ("a.mesh", "b.xdmf"):
+        write_file(tmp_path / name, meshio.Mesh(start.points, [("tetra", start.cells)], solution))
+    (tmp_path / "c.sol").touch()
+    assert find_inputs(["*.*"]) == ["a.mesh", "b.xdmf", "c.sol"]
+    assert find_inputs(["./a.sol", "c.sol", "a.mesh"]) == ["c.sol", "a.mesh"]
+    assert find_inputs(["a.sol"]) == ["a.sol"]
+    assert {path.name for path in tmp_path.iterdir()} == {"a.mesh", "a.sol", "b.xdmf", "b.h5",
+                                                          "c.sol"}
