@@ -220,3 +220,52 @@ def test_solutions_that_are_left_beside_another_mesh_are_named(left, tmp_path):
         write_file(tmp_path / "a.mesh", meshio.Mesh(mesh.points, mesh.cells, {"u": values(16)}))
     assert any("does not keep point data 'u'" in str(one.message) for one in told)
     assert any("a.sol beside it stays" in str(one.message) for one in told)
+
+
+def sections_of(data):
+    """Sections of a binary file of version 2: words (n, k) of 4 bytes, by their code."""
+    head = struct.unpack_from("<iiii", data)
+    found, at = {}, 8
+    while (code := struct.unpack_from("<i", data, at)[0]) != 54:
+        following = struct.unpack_from("<i", data, at + 4)[0]
+        inside = np.frombuffer(data[at + 8:following], "<i4")
+        found[code] = inside if code == 3 else inside[1:].reshape(inside[0], -1)
+        at = following
+    assert len(data) == at + 8
+    return head[:3], found
+
+
+def test_binary_meshes_are_of_version_2(d, tmp_path):
+    points, cells, labels = contract.grid(d, 3)
+    kind, code = {2: ("triangle", 6), 3: ("tetra", 8)}[d]
+    write_file(tmp_path / "a.meshb", meshio.Mesh(points, [(kind, cells)],
+                                                 cell_data={"medit:ref": [labels]}))
+    head, found = sections_of((tmp_path / "a.meshb").read_bytes())
+    assert head == (1, 2, 3)
+    assert list(found) == [3, 4, code]
+    assert found[3].tolist() == [d]
+    assert found[4][:, :2 * d].copy().view("<f8").tolist() == points.tolist()
+    assert found[code].tolist() == np.column_stack([cells + 1, labels]).tolist()
+    back = read_file(tmp_path / "a.meshb")
+    assert np.array_equal(back.points, points)
+    assert np.array_equal(back.cells[0].data, cells)
+
+
+def test_what_goes_into_no_file_of_version_2_is_written_as_before(tmp_path):
+    points, cells, _ = contract.grid(3, 2)
+    write_file(tmp_path / "a.meshb", meshio.Mesh(points, [("tetra", cells)], {
+        "medit:ref": np.full(len(points), 2**40)}))
+    assert read_file(tmp_path / "a.meshb").point_data["medit:ref"].tolist() == [2**40] * len(points)
+
+
+def test_mmg_reads_binary_meshes_that_were_written(d, tmp_path):
+    pytest.importorskip("mmgpy")
+    points, cells = jittered(d, 3, 0)
+    kind = {2: "triangle", 3: "tetra"}[d]
+    write_file(tmp_path / "a.meshb", meshio.Mesh(points, [(kind, cells)], {
+        "sol": np.full(len(points), 0.15)}))
+    names = [str(tmp_path / name) for name in ("a.solb", "a.meshb", "c.meshb")]
+    subprocess.run([shutil.which(f"mmg{d}d_O3") or f"mmg{d}d", "-v", "0", "-sol", *names],
+                   check=True, capture_output=True, timeout=60)
+    with pytest.warns(DataNotKeptWarning, match="doesn't know"):
+        assert len(read_file(tmp_path / "c.meshb").cells_dict[kind]) > len(cells)

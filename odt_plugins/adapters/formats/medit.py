@@ -6,6 +6,7 @@ Solutions beside them, which may be metrics, are point arrays.
 from __future__ import annotations
 
 import re
+import struct
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,6 +21,16 @@ CELLS = {"Edges": ("line", 2), "Triangles": ("triangle", 3), "Quadrilaterals": (
          "Tetrahedra": ("tetra", 4), "Prisms": ("wedge", 6), "Pyramids": ("pyramid", 5),
          "Hexahedra": ("hexahedron", 8), "Hexaedra": ("hexahedron", 8)}
 """Sections of cells: their type and number of corners."""
+
+CODES = {"line": 5, "triangle": 6, "quad": 7, "tetra": 8, "wedge": 9, "hexahedron": 10,
+         "pyramid": 49}
+"""Keywords of sections of cells in binary files, by their type."""
+
+VERTICES, END = 4, 54
+"""Other keywords of binary files."""
+
+MOST = 2**31 - 1
+"""Largest number in binary files of version 2, and most bytes of one."""
 
 REF = "medit:ref"
 """Array of the references of vertices and of cells."""
@@ -123,9 +134,39 @@ def write(path: Path, mesh: Any, binary: bool | None = None) -> list[str]:
 
     bare = mesh.copy()
     bare.point_data = {name: values for name, values in mesh.point_data.items() if name == REF}
-    meshio.write(path, bare, file_format="medit")
+    packed = _packed(bare) if path.suffix.lower() == ".meshb" else None
+    if packed is None:
+        meshio.write(path, bare, file_format="medit")
+    else:
+        path.write_bytes(packed)
     medit_solution.write(path, mesh.points.shape[1], mesh.point_data)
     return []
+
+
+def _packed(mesh: Any) -> bytes | None:
+    """A binary file of version 2, as every tool reads it; None of what does not go into one.
+
+    A section is its code, where the next one starts, its number of entries and these.
+    """
+    n, dim = mesh.points.shape
+    refs = [mesh.point_data.get(REF, np.ones(n, dtype=np.int32)), *mesh.cell_data.get(
+        REF, [np.ones(len(block.data), dtype=np.int32) for block in mesh.cells])]
+    good = all(values.dtype.kind in "iu" and np.abs(values, dtype=np.float64).max(initial=0) <= MOST
+               for values in refs)
+    size = 8 * n * (dim + 1) + 4 * sum(block.data.size + len(block.data) for block in mesh.cells)
+    if not good or size > MOST // 2 or {block.type for block in mesh.cells} - {*CODES}:
+        return None
+    rows = np.zeros(n, dtype=[("x", "<f8", (dim,)), ("ref", "<i4")])
+    rows["x"], rows["ref"] = mesh.points, refs[0]
+    sections: list[tuple[int, Any]] = [(VERTICES, rows)]
+    for block, ref in zip(mesh.cells, refs[1:], strict=True):
+        sections.append((CODES[block.type], np.column_stack([block.data + 1, ref]).astype("<i4")))
+    parts = [struct.pack("<iiiii", 1, 2, 3, 20, dim)]
+    at = 20
+    for code, table in sections:
+        at += 12 + table.nbytes
+        parts += [struct.pack("<iii", code, at, len(table)), table.tobytes()]
+    return b"".join([*parts, struct.pack("<ii", END, 0)])
 
 
 def rewrite(source: Path, target: Path, change: Change) -> list[str]:
