@@ -202,8 +202,14 @@ def _wish(size: Any, wishes: dict[str, Any], *, metric: bool) -> Wish:
     if adapt and metric:
         msg = "got adapt= and metric=; expected one of them"
         raise InvalidOptionError(msg)
-    if adapt and wishes.get("cells") is None and wishes.get("vertices") is None:
+    asked = [name for name, value in ({"size": size} | wishes).items()
+             if name in ("size", "scale", "cells", "vertices") and value is not None]
+    if adapt and not {"cells", "vertices"} & {*asked}:
         msg = "got adapt= without a number of cells; expected cells= or vertices= beside it"
+        raise InvalidOptionError(msg)
+    if adapt and len(asked) > 1:
+        msg = (f"got adapt= with {' and '.join(f'{name}=' for name in asked)}; expected cells= or "
+               "vertices= alone beside it")
         raise InvalidOptionError(msg)
     metric = metric or bool(adapt)
     named = isinstance(size, str) and size != ""
@@ -216,10 +222,9 @@ def _wish(size: Any, wishes: dict[str, Any], *, metric: bool) -> Wish:
                    f"function or {CURVATURE!r}")
             raise InvalidOptionError(msg) from exc
     if metric and size is not None:
-        msg = (f"got size= and {'adapt' if adapt else 'metric'}=; expected one of them, try scale= "
-               "for a multiple of a metric")
+        msg = "got size= and metric=; expected one of them, try scale= for a multiple of a metric"
         raise InvalidOptionError(msg)
-    if metric and all(wishes.get(name) is None for name in ("scale", "cells", "vertices")):
+    if metric and not asked:
         wishes = wishes | {"scale": 1.0}
     if wishes.get("growth") is None:
         wishes = wishes | {"growth": OF_METRICS if metric else OF_SIZES}

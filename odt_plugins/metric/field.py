@@ -317,7 +317,8 @@ def _values(host: HostMesh, given: Any, what: str) -> FloatArray:
     field = real_numbers(
         raw, "values of a field that are no real numbers", f"({n},) or ({n}, c)")
     if field.shape[:1] != (n,) or not field.size:
-        msg = f"got values of a field of shape {field.shape}; expected ({n},) or ({n}, c)"
+        turned = ", try their transpose" if field.shape[1:] == (n,) else ""
+        msg = f"got values of a field of shape {field.shape}; expected ({n},) or ({n}, c){turned}"
         raise InvalidOptionError(msg)
     field = field.reshape(n, -1)
     used = np.unique(np.asarray(host.cells, dtype=np.int64))

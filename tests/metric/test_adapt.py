@@ -50,6 +50,10 @@ def test_a_batch_is_adapted(tmp_path):
 @pytest.mark.parametrize(("flags", "message"), [
     (["--adapt", "temperature", "--cells", "100", "--metric", "input"], "got --adapt and --metric"),
     (["--adapt", "temperature"], "got --adapt without a number of cells; expected --cells or"),
+    (["--adapt", "temperature", "--size", "0.1", "--cells", "100"],
+     "got --adapt with --size and --cells; expected --cells or --vertices alone beside it"),
+    (["--adapt", "temperature", "--scale", "2", "--vertices", "100"],
+     "got --adapt with --scale and --vertices; expected --cells or --vertices alone beside it"),
     (["--adapt", "heat", "--cells", "100"], "got --adapt heat; expected the name of a point array"),
     (["--adapt", "", "--cells", "100"], "got --adapt '';"),
 ])

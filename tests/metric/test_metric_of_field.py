@@ -253,6 +253,7 @@ def test_lengths_grow_and_are_stretched_within_limits():
     ({"values": "p"}, "got field 'p'; expected the name of a point array .* it has u, v, w"),
     ({"values": ["u", "p"]}, "got field 'p'"),
     ({"values": np.ones(3)}, r"got values of a field of shape \(3,\); expected \(225,\)"),
+    ({"values": lambda x: x.T}, r"shape \(2, 225\); .* or \(225, c\), try their transpose"),
     ({"values": lambda x: np.where(x[:, 0] > 0.5, np.nan, 1.0)},
      r"got a field with NaN or infinite values at vertex \d+ \(\d+ of them\)"),
     ({"values": lambda x: 1j * x}, "are no real numbers: they are of type complex128"),
