@@ -76,7 +76,8 @@ def metric_from_field(
     (n, d, d) float64            d the dimension of the points; for `metric` of
                                  :func:`odt_plugins.remesh`. Where the mesh is a surface in space,
                                  second derivatives are those along it, and lengths normal to it are
-                                 the shorter ones along it
+                                 the shorter ones along it. Cells of higher order have it at their
+                                 corners, and means of these at the nodes between
 
     Raises
     ------
@@ -153,12 +154,23 @@ def _with_least_error(
         for other in found[1:]:
             metric = intersection(metric, other)
         metric = scaled_to(points, corners, metric, cells, limits, along)
-    if frame is None:
+    if frame is not None:
+        normal = np.cross(frame.axes[0], frame.axes[1])
+        plane = Tangents(np.broadcast_to(frame.axes, (len(points), 2, 3)),
+                         np.broadcast_to(normal, (len(points), 3)))
+        metric = plane.lifted(metric)
+    return _at_nodes(host, metric)
+
+
+def _at_nodes(host: HostMesh, metric: FloatArray) -> FloatArray:
+    """A metric known at corners of cells, also at the nodes between those of higher order."""
+    if host.nodes is None or host.shape is None:
         return metric
-    normal = np.cross(frame.axes[0], frame.axes[1])
-    plane = Tangents(np.broadcast_to(frame.axes, (len(points), 2, 3)),
-                     np.broadcast_to(normal, (len(points), 3)))
-    return plane.lifted(metric)
+    nodes, k = np.asarray(host.nodes), host.shape.shape[1]
+    out, weights = metric.copy(), host.shape[k:, :, None, None] / host.shape[0].sum()
+    for i in range(nodes.shape[1] - k):
+        out[nodes[:, k + i]] = sum(weights[i, c] * metric[nodes[:, c]] for c in range(k))
+    return out
 
 
 def hessians_to_metric(

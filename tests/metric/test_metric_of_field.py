@@ -8,6 +8,7 @@ import math
 import meshio
 import numpy as np
 import pytest
+import quadratic_meshes as qm
 import surface_meshes as sm
 from scipy.spatial import Delaunay
 from scipy.spatial.transform import Rotation
@@ -279,3 +280,23 @@ def test_the_unit_of_a_field_changes_no_metric(unit):
     known = odt_plugins.metric_from_field(mesh, field, 500)
     np.testing.assert_allclose(odt_plugins.metric_from_field(mesh, unit * field, 500), known,
                                rtol=1e-6, atol=1e-6 * known.max())
+
+
+@pytest.mark.parametrize("host", ["pyvista", "meshio", "skfem"])
+def test_nodes_between_corners_have_means_and_the_metric_may_be_carried(host, d):
+    pytest.importorskip(host)
+    points, cells = jittered(d, 3, 0)
+    nodes, rows = qm.widened(points, cells)
+    labels = np.zeros(len(rows), dtype=int)
+    mesh = qm.MAKERS[host](nodes, rows, labels, {}, d)
+    metric = odt_plugins.metric_from_field(
+        mesh, lambda x: np.tanh(8.0 * (x[:, 0] - x[:, 1])), {2: 100, 3: 400}[d])
+    for (a, b), node in qm.edges_of(qm.view(mesh, d)[1], d).items():
+        assert np.allclose(metric[node], 0.5 * (metric[a] + metric[b]), rtol=1e-12)
+    if host in qm.WITH_DATA:
+        mesh.point_data["M"] = metric.reshape(len(metric), -1)
+        once = odt_plugins.remesh(mesh, metric="M", keep=())
+        found = np.asarray(once.point_data["M"])
+        assert len(found) != len(metric)
+        size = metric.shape[1]
+        assert np.linalg.eigvalsh(found.reshape(-1, size, size)).min() > 0.0
