@@ -34,7 +34,7 @@ from odt_plugins.distributed.job import (
     compiling,
     too_little,
 )
-from odt_plugins.distributed.keys import job_key, placed, read_alone
+from odt_plugins.distributed.keys import drop_earlier, job_key, placed, read_alone
 from odt_plugins.distributed.local import end_with
 from odt_plugins.distributed.scratch import clear, make_scratch
 from odt_plugins.distributed.versions import expect_versions, versions_here
@@ -434,10 +434,10 @@ def _ended_row(job: Job, key: str, folder: Path, facts_of: Callable[[], Row]) ->
             row["message"] += f"; {job.name} is there from an earlier run"
         (folder / ROW).write_text(json.dumps(row), encoding="utf-8")
         place.parent.mkdir(parents=True, exist_ok=True)
-        place.unlink(missing_ok=True)
+        drop_earlier(place, target, row)
         if row["status"] in WRITTEN:
             target.parent.mkdir(parents=True, exist_ok=True)
-            # Formats such as xdmf write companions; the file that refers to them comes last.
+            # Companions, such as those of xdmf, come before what refers to them.
             for part in parts:
                 os.replace(part, target.parent / part.name)
         if not outside:

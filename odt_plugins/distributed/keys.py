@@ -11,6 +11,7 @@ from typing import Any
 
 from odt_plugins.adapters.files import chosen_format
 from odt_plugins.adapters.stated import parts_of
+from odt_plugins.distributed.job import WRITTEN
 from odt_plugins.distributed.named import MASKS
 from odt_plugins.distributed.versions import versions_here
 from odt_plugins.errors import MeshFileError, MissingDependencyError
@@ -53,6 +54,26 @@ def job_key(job: Any) -> str:
     rest = [options, job.name, job.tetrahedralize, job.edge_length, job.levels, job.sizes, versions]
     digest.update(json.dumps(rest, sort_keys=True).encode())
     return digest.hexdigest()
+
+
+def drop_earlier(place: Path, target: Path, row: Mapping[str, Any]) -> None:
+    """Take away the row of an earlier run, and what it wrote beside a result that is replaced.
+
+    Parameters
+    ----------
+    place : path      of the row, which need not be there
+    target : path     of the result
+    row : dict        of this run, with what it writes, and whether it does
+    """
+    files = row["files"] if row["status"] in WRITTEN else ()
+    try:
+        earlier = json.loads(place.read_text(encoding="utf-8")).get("files", []) if files else []
+    except (OSError, ValueError):
+        earlier = []
+    place.unlink(missing_ok=True)
+    for name in {*earlier} - {*files}:
+        if Path(name).stem == target.stem:
+            (target.parent / name).unlink(missing_ok=True)
 
 
 def read_alone(paths: list[str]) -> list[str]:

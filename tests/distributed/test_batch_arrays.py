@@ -139,3 +139,23 @@ def test_files_that_are_read_with_another_one_are_no_inputs(tmp_path, monkeypatc
     assert find_inputs(["a.sol"]) == ["a.sol"]
     assert {path.name for path in tmp_path.iterdir()} == {"a.mesh", "a.sol", "b.xdmf", "b.h5",
                                                           "c.sol"}
+
+
+def test_what_an_earlier_run_wrote_beside_a_result_goes_with_it(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    start = ball(60)
+    mesh = meshio.Mesh(start.points, [("tetra", start.cells)], {"sol": np.ones(len(start.points))})
+    write_file(tmp_path / "a.mesh", mesh)
+    words = ["batch", "a.mesh", "--out", "out", "--quiet"]
+    assert main(words) == 0
+    (tmp_path / "out" / "a.txt").touch()
+    assert (tmp_path / "out" / "a.sol").is_file()
+    assert main([*words, "--metric", "none_of_it"]) == 1
+    assert (tmp_path / "out" / "a.sol").is_file()
+    assert main(words) == 0
+    assert (tmp_path / "out" / "a.sol").is_file()
+    (tmp_path / "a.sol").unlink()
+    assert main(words) == 0
+    assert not (tmp_path / "out" / "a.sol").exists()
+    assert (tmp_path / "out" / "a.txt").is_file()
+    assert (tmp_path / "out" / "a.mesh").is_file()
