@@ -111,7 +111,7 @@ def named_metric(host: HostMesh, name: str) -> NDArray[Any]:
         return known[name]
     d = host.points.shape[1]
     tensors = [key for key, values in known.items()
-               if values.dtype.kind == "f" and values[:1].size in OF_TENSORS[d]]
+               if key != INPUT and values.dtype.kind == "f" and values[:1].size in OF_TENSORS[d]]
     msg = (f"got metric={name!r}; expected 'input', or the name of a point array of symmetric "
            f"tensors of this mesh, it has {', '.join(tensors) or 'none'}")
     raise InvalidOptionError(msg)

@@ -226,3 +226,11 @@ def test_bounded_lengths_leave_the_least_error():
         return ((forms / bounded(np.exp(scale))).sum(axis=1) ** 2).mean()
 
     assert error(2.0) < 0.9 * error(np.inf)
+
+
+def test_an_array_called_input_is_not_offered():
+    points, cells = jittered(2, 3, 0)
+    tensors = np.tile([1.0, 0.0, 1.0], (len(points), 1))
+    host = HostMesh(points, cells, fields={"input": tensors, "M": tensors})
+    with pytest.raises(InvalidOptionError, match=r"of this mesh, it has M$"):
+        named_metric(host, "other")
