@@ -151,7 +151,7 @@ def write(result: Result, host: HostMesh) -> Any:
 def in_words(text: str) -> str:
     """Put an error message into MeshLab's words."""
     text = text.replace("merging vertices at the same place", "meshing_remove_duplicate_vertices()")
-    return re.sub(r"\bcell(s?)\b", r"face\1", text)
+    return re.sub(r"\bcell(s?)\b(?!=)", r"face\1", text)
 
 
 def standing_alone(owner: Any) -> Any:
