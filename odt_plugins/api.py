@@ -343,6 +343,7 @@ def quality(mesh: Any) -> QualitySummary:
     >>> round(odt_plugins.quality((points, np.array([[0, 1, 2]]))).min_quality, 12)
     1.0
     """
+    from odt_plugins.carrying.curved import curved_volume
     from odt_plugins.figures import cell_figures, summarize
 
     host = find_adapter(mesh).read(mesh)
@@ -354,4 +355,7 @@ def quality(mesh: Any) -> QualitySummary:
         t, turned = turned_alike(p, t)
         turned = turned if frame is None else min(turned, len(t) - turned)
     found = cell_figures(p, t)
-    return replace(summarize(p, t, found), turned=turned, cells=found)
+    summary = replace(summarize(p, t, found), turned=turned, cells=found)
+    if p.shape[1] == t.shape[1]:
+        return summary
+    return replace(summary, volume=curved_volume(host, found.volume))

@@ -57,7 +57,8 @@ class QualitySummary:
     inverted : int                                  cells of zero or negative signed volume
     uniformity : float                              std(R) / mean(R), h constant
     volume : float                                  sum of the signed volumes; of triangles their
-                                                    areas, which is `area` as well
+                                                    areas, which is `area` as well. Curved cells
+                                                    count as they are, but on surfaces
     min_altitude : float                            least altitude of a cell, in the caller's unit:
                                                     over the wave speed, the time step of explicit
                                                     dynamics

@@ -198,6 +198,23 @@ def facts_of_others(
     return _facts(before, after, 0, of_volume=not result.curved)
 
 
+def curved_volume(host: HostMesh, flat: FloatArray) -> float:
+    """Area or volume of a mesh, with cells as they are curved.
+
+    Parameters
+    ----------
+    host : HostMesh        no curved surface
+    flat : (m,) float64    those of the corners alone, with their signs; the result has these where
+                           all cells are straight
+    """
+    volume = flat
+    if host.nodes is not None and host.shape is not None:
+        found = measured(host.points, host.nodes, host.shape)
+        if found.scaled.min(initial=1.0) < 1.0:
+            volume = np.copysign(found.volume, flat)
+    return float(volume.sum())
+
+
 def _facts(
     before: Curved, after: Curved, held: int, *, of_volume: bool
 ) -> dict[str, float]:
