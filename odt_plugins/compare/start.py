@@ -141,6 +141,18 @@ def distinct(named: Iterable[Named]) -> list[Named]:
     return list(out.values())
 
 
+def reordered(start: StartMesh, seed: int) -> StartMesh:
+    """The same mesh, its vertices and cells in random order."""
+    rng = np.random.default_rng(seed)
+    order = rng.permutation(len(start.points))
+    number = np.empty(len(order), dtype=np.int32)
+    number[order] = np.arange(len(order))
+    shuffled = rng.permutation(len(start.cells))
+    regions = None if start.regions is None else start.regions[shuffled]
+    return replace(start, points=start.points[order], cells=number[start.cells][shuffled],
+                   regions=regions)
+
+
 def suite(name: str) -> list[StartMesh]:
     """Give the start meshes of a suite.
 

@@ -17,7 +17,7 @@ from policies import set_policy
 
 import odt_plugins
 from odt_plugins.carrying.roundtrip import optimized
-from odt_plugins.compare.start import StartMesh, ball, plate, stored
+from odt_plugins.compare.start import ball, plate, reordered, stored
 from odt_plugins.distributed import optimize as blocks_module
 from odt_plugins.distributed.block import Block, Improved, improve
 from odt_plugins.distributed.glue import Task, Whole, labels, one_round
@@ -251,18 +251,6 @@ def test_a_result_that_does_not_fit_its_block_is_refused(spoil):
     label = bricks(mesh.points, mesh.cells, 2)
     with pytest.raises(InvalidMeshError, match="block 0 does not fit"):
         one_round(whole, label, Task(Options()), lambda _, b: map(lambda x: spoil(unchanged(x)), b))
-
-
-def reordered(start: StartMesh, seed: int) -> StartMesh:
-    """The same mesh, its vertices and cells in random order."""
-    rng = np.random.default_rng(seed)
-    order = rng.permutation(len(start.points))
-    number = np.empty(len(order), dtype=np.int32)
-    number[order] = np.arange(len(order))
-    shuffled = rng.permutation(len(start.cells))
-    regions = None if start.regions is None else start.regions[shuffled]
-    return replace(start, points=start.points[order], cells=number[start.cells][shuffled],
-                   regions=regions)
 
 
 @pytest.mark.parametrize(("name", "seed"), [
