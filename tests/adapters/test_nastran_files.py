@@ -287,6 +287,19 @@ def test_other_readers_see_the_same_mesh(style, tmp_path):
     assert np.allclose(np.sort(coords), np.sort(np.ravel(list(nodes.values()))), atol=1e-9)
 
 
+def test_cells_of_second_order_as_meshio_names_them_are_read(tmp_path):
+    source, target = tmp_path / "a.bdf", tmp_path / "b.bdf"
+    points, cells = quadratic(*box(3, 3))
+    sides = np.unique(cells[:, [0, 1, 2, 4, 5, 6]], axis=0)
+    meshio.write(source, meshio.Mesh(points, [("triangle6", sides), ("tetra10", cells)]))
+    assert b"CTETRA_" in source.read_bytes()
+    assert np.array_equal(read_file(source).cells_dict["tetra10"], cells)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DataNotKeptWarning)
+        optimize_file(source, target)
+    assert "tetra10" in meshio.nastran.read(target).cells_dict
+
+
 def test_points_in_a_system_of_their_own_stay_where_it_puts_them(tmp_path):
     points, cells = box(3, 4)
     inner = int(np.flatnonzero(((points > 0.3) & (points < 0.7)).all(axis=1))[0])

@@ -320,7 +320,7 @@ def _cards(data: bytes) -> Iterator[Card]:
             continue
         if card is not None:
             yield card
-        card = Card(name.rstrip("*").strip(), data, start, at)
+        card = Card(name.rstrip("*_ "), data, start, at)
         if card.name == "ENDDATA":
             break
     if card is not None:
