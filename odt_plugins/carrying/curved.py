@@ -171,7 +171,7 @@ def keep_curved(
     stays = mesh.fixed if slides or now is mesh else held_vertices(mesh)
     facts = _facts(before, after, int((now.fixed & ~stays).sum()),
                    of_volume=source is None and not mesh.is_surface)
-    if source is not None:
+    if facts is not None and source is not None:
         folded = ~after.valid & given.valid[source[outcome.source]]
         facts["folded"] = int(folded.sum())
     return Kept(now, outcome, facts)
@@ -217,7 +217,9 @@ def curved_volume(host: HostMesh, flat: FloatArray) -> float:
 
 def _facts(
     before: Curved, after: Curved, held: int, *, of_volume: bool
-) -> dict[str, float]:
+) -> dict[str, float] | None:
+    if not (before.counts.any() or after.counts.any()):
+        return None
     facts: dict[str, float] = {"cells": int(before.counts.sum()), "vertices_held": held}
     for side, found in (("before", before), ("after", after)):
         names = ("least", "least_of_corners", "mean", "mean_of_corners")
