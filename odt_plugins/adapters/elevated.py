@@ -20,6 +20,7 @@ from odt_plugins.adapters.point_sets import depths
 from odt_plugins.errors import UnsupportedMeshError
 from odt_plugins.mesh.bernstein import jacobian_bounds
 from odt_plugins.mesh.facets import row_keys
+from odt_plugins.mesh.numbers import vertex_mask
 
 STRAIGHT = 1e-3
 """Largest distance of a node from the middle of its edge, in lengths of the edge, for which the
@@ -38,11 +39,19 @@ ASTRAY = 100.0
 """Square of a distance, in that of the nearest place found, beyond which none is looked for."""
 
 
-def held(host: HostMesh) -> HostMesh:
-    """The same mesh of higher order; where a node that stays is between corners, these stay too."""
+def held(host: HostMesh, fixed: Any = None) -> HostMesh:
+    """The same mesh of higher order; where a node that stays is between corners, these stay too.
+
+    Parameters
+    ----------
+    host : HostMesh
+    fixed : (n,) bool, or indices    nodes that are to stay beside those that the mesh keeps
+    """
     nodes, shape = np.asarray(host.nodes, dtype=np.int64), np.asarray(host.shape)
     corners = shape.shape[1]
-    alone = np.isin(nodes[:, corners:], _alone(host))
+    stays = vertex_mask(fixed, len(host.points), "fixed", "vertices")
+    stays[_alone(host)] = True
+    alone = stays[nodes[:, corners:]]
     kept: list[KeptCells] = []
     for k in np.flatnonzero(alone.any(axis=0)).tolist():
         rows = nodes[alone[:, k]][:, np.flatnonzero(shape[corners + k])]

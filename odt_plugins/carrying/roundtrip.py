@@ -282,7 +282,7 @@ def _prepare(mesh: Any, options: Options, wanted: Wanted) -> tuple[Prepared, Hos
     with words_of(host):
         own, seen_host = seen(host, flat[0]), host
         if host.nodes is not None:
-            seen_host = held(host)
+            seen_host = held(host, options.fixed)
         if host.higher_order and (wanted.linear or options.insert):
             seen_host = linear(seen_host)
         if own is not None:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from boxes import EDGES, FACES, box, quadratic
 
-from odt_plugins import optimize_with_report, remesh, remesh_with_report
+from odt_plugins import optimize, optimize_with_report, remesh, remesh_with_report
 from odt_plugins.adapters.files import read_file, write_file
 from odt_plugins.errors import DataNotKeptWarning, TangledMeshError, UnsupportedMeshError
 
@@ -219,6 +219,19 @@ def test_nodes_that_a_deck_names_stay_on_their_edges(tmp_path):
     assert len(out.cells[0].data) > len(nodes)
     places = {row.tobytes() for row in out.points[np.unique(out.cells[0].data[:, 4:])]}
     assert all(place.tobytes() in places for place in x[named - 1])
+
+
+@pytest.mark.parametrize("run", [optimize, partial(remesh, scale=0.7)])
+@pytest.mark.parametrize("kind", ["mask", "indices"])
+def test_fixed_nodes_between_corners_stay_on_their_edges(run, kind):
+    x, nodes, *_ = solid(3)
+    inner = ((x > 0.2) & (x < 0.8)).all(axis=1)
+    own = np.flatnonzero(inner & (np.arange(len(x)) > nodes[:, :4].max()))[::4]
+    out = run(meshio.Mesh(x, [("tetra10", nodes)]),
+              fixed=own if kind == "indices" else np.isin(np.arange(len(x)), own))
+    assert not np.array_equal(out.points, x)
+    places = {row.tobytes() for row in out.points[np.unique(out.cells[0].data[:, 4:])]}
+    assert all(place.tobytes() in places for place in x[own])
 
 
 @pytest.mark.parametrize("fields", ["auto", "keep"])
