@@ -36,6 +36,9 @@ calls them."""
 PIECES = (".vtm", ".vtmb", ".pvtu", ".pvtp", ".vtkhdf")
 """Suffixes of files of VTK that pyvista alone reads."""
 
+PARTITIONED = (".pvtu", ".pvtp")
+"""Those of them that hold one mesh in pieces."""
+
 BEFOREHAND = ("odt_plugins.adapters.vtk_files", "vtkmodules.vtkIOXML", "vtkmodules.vtkIOLegacy",
               "vtkmodules.util.numpy_support", "meshio")
 """Modules that the process which stays imports while nobody asks it, the first needed first; the
@@ -157,9 +160,17 @@ def _ready(modules: tuple[str, ...]) -> _Process:
 
 
 def hint(path: Path) -> str:
-    """What to try with files of VTK that pyvista alone reads, of several meshes or pieces."""
-    known = path.suffix.lower() in PIECES and vtk_installed()
-    return ", try pyvista.read and odt_plugins.optimize of what it gives" if known else ""
+    """What to try with files of VTK that pyvista alone reads, of several meshes or pieces.
+
+    Pieces of one mesh do not share the vertices between them when they are read.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in PIECES or not vtk_installed() or not path.exists():
+        return ""
+    if suffix not in PARTITIONED:
+        return ", try pyvista.read and odt_plugins.optimize of what it gives"
+    more = ", or optimize with an OUTPUT or target that ends in .pvtu" * (suffix == ".pvtu")
+    return f", try pyvista.read and odt_plugins.optimize of what its clean() gives{more}"
 
 
 def vtk_installed() -> bool:

@@ -245,3 +245,11 @@ def test_files_that_pyvista_alone_reads_are_refused_with_what_to_try(suffix, tmp
     (tmp_path / "a.vtm").rename(tmp_path / f"a{suffix}")
     with pytest.raises(MeshFileError, match=rf"{suffix} has no suffix .*, try pyvista.read and"):
         files.read_file(tmp_path / f"a{suffix}")
+
+
+def test_pieces_are_to_share_their_vertices_and_outputs_are_not_to_be_read(tmp_path):
+    (tmp_path / "a.pvtu").write_text("<VTKFile/>")
+    with pytest.raises(MeshFileError, match=r"its clean\(\) gives, or optimize with an OUTPUT"):
+        files.read_file(tmp_path / "a.pvtu")
+    with pytest.raises(MeshFileError, match=r"\.xml$"):
+        files.check_output(tmp_path / "new.pvtu")
