@@ -52,7 +52,7 @@ from odt_plugins.cli.terminal import (
 )
 from odt_plugins.errors import InvalidOptionError, NotFilledWarning, ODTError
 from odt_plugins.hints import meant
-from odt_plugins.options import OF_MESHES, OPTIONS
+from odt_plugins.options import DENSITIES, OF_MESHES, OPTIONS
 from odt_plugins.processes import handling
 
 DONE, COULD_NOT, WRONG_USE, BEYOND = 0, 1, 2, 3
@@ -186,6 +186,8 @@ def optimize(
         refuse("block_rounds", "for a mesh that is one block", "--blocks beside it")
     if pieces and blocks is not None:
         refuse("blocks", "for a mesh in pieces", "it for whole meshes")
+    if pieces and options["density"] not in DENSITIES:
+        refuse("density", "with the name of an array for a mesh in pieces", "keep or uniform")
     if pieces and (file_format or text is not None):
         msg = "--file-format, --ascii and --binary are for meshes of one file, OUTPUT names pieces"
         raise click.UsageError(msg)
@@ -205,8 +207,8 @@ def optimize(
         how |= {"blocks": blocks, "file_format": file_format,
                 "binary": None if text is None else not text}
     with warnings_told(quiet):
-        options = resolve_arrays(source, options)
         if not pieces:
+            options = resolve_arrays(source, options)
             refuse_for_kind(source, options["boundary"])
         with _cluster(scheduler, quiet) as client, progress_bar(quiet) as progress:
             options["progress"] = progress

@@ -32,7 +32,7 @@ JOINED = "an INPUT whose geometries are joined to one"
 OF_DOMAINS = {"h0": "size", "level": "levels", "most_points": "most_points"}
 """Flags of the command mesh, by arguments of the functions that it calls."""
 
-OF_FILES = ("bodies", "file_format", "levels", "suffix", "tetrahedralize")
+OF_FILES = ("blocks", "bodies", "file_format", "levels", "suffix", "tetrahedralize")
 """Arguments of functions for files that are flags of the same names."""
 
 

@@ -130,10 +130,11 @@ def _check_for_pieces(options: Options) -> None:
         raise InvalidOptionError(msg)
     for name in ("fixed", "selection", "reference", "metric"):
         if getattr(options, name) is not None:
-            msg = f"got {name} for a mesh in pieces; expected options that every piece can tell"
+            msg = (f"got {name}= for a mesh in pieces; expected options that every piece can tell, "
+                   "try blocks=, in memory")
             raise InvalidOptionError(msg)
     if not are_names(options.regions):
-        msg = "got an array of regions for a mesh in pieces; expected the name of a cell array"
+        msg = "got an array of regions= for a mesh in pieces; expected the name of a cell array"
         raise InvalidOptionError(msg)
     if not isinstance(options.density, str) or options.density not in ("keep", "uniform"):
         msg = "got a density that no piece can tell; expected 'keep' or 'uniform'"

@@ -137,6 +137,13 @@ def test_the_command_takes_pieces(tmp_path, capsys, monkeypatch):
     assert "one file each" in capsys.readouterr().err
     assert cli.main(["optimize", "in.pvtu", "out.pvtu", "--blocks", "2"]) == 2
     assert "got --blocks for a mesh in pieces" in capsys.readouterr().err
+    for flag, value in (("fixed", "f"), ("selection", "s"), ("metric", "input"), ("density", "h")):
+        assert cli.main(["optimize", "in.pvtu", "out.pvtu", f"--{flag}", value]) == 2
+        said = capsys.readouterr().err
+        assert f"got --{flag} " in said
+        assert "for a mesh in pieces" in said
+    assert cli.main(["optimize", "in.pvtu", "out.pvtu", "--insert"]) == 2
+    assert "try --blocks, in memory" in capsys.readouterr().err
     assert cli.main(["optimize", "in.pvtu", "out.pvtu", "--finish"]) == 0
     said = capsys.readouterr()
     assert "pieces 3" in said.out
