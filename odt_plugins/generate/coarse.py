@@ -97,7 +97,7 @@ def coarse_mesh(
     points, faces = _surface(mesh)
     if gone := _data_of(mesh):
         msg = (f"data of the surface do not come to its tetrahedra: {', '.join(gone)}; those of "
-               f"the faces of a file do with odt_plugins.tetrahedralize(path, levels=...)")
+               "the faces of a file do with tetrahedralize, which takes levels too")
         warn(msg, DataNotKeptWarning)
     tell_curved(host, options.envelope)
     target = make_target(points, faces, angle)

@@ -314,8 +314,10 @@ def test_data_of_a_surface_that_do_not_come_to_tetrahedra_are_named(meshed, tmp_
         warnings.simplefilter("error", DataNotKeptWarning)
         odt_plugins.refine(surface, 0)
     surface.point_data["T"], surface.cell_data["side"] = points[:, 0], side
-    with pytest.warns(DataNotKeptWarning, match="do not come to its tetrahedra: T, side; those"):
+    with pytest.warns(DataNotKeptWarning, match="tetrahedra: T, side; those") as told:
         odt_plugins.refine(surface, 0)
+    assert cli.in_flags(str(told[0].message)).endswith(
+        "those of the faces of a file do with tetrahedralize, which takes levels too")
     mesh = meshio.Mesh(points, [("triangle", faces)],
                        cell_data={"name": [side.astype(object)]}, cell_sets={"all": [[0, 1]]})
     with pytest.warns(DataNotKeptWarning, match="tetrahedra: all, name; those"):
