@@ -182,6 +182,11 @@ def check_output(
     """
     path = Path(path)
     chosen_format(path, None, file_format, binary)
+    check_place(path)
+
+
+def check_place(path: Path) -> None:
+    """See whether a file of any format could be written there."""
     folder = behind(path).parent
     if not folder.is_dir():
         msg = f"cannot write {path}: {folder} is not a directory; expected an existing one"

@@ -118,8 +118,10 @@ def run_script_on_files(
         msg = (f"cannot write {target}: MeshLab has no format {target.suffix!r}; expected one of "
                f"{' '.join(SURFACES)}, or {TETRAHEDRA} in the script for a file of tetrahedra")
         raise MeshFileError(msg)
-    files.check_output(target.with_suffix(".vtu") if surface else target)
-    if not surface:
+    if surface:
+        files.check_place(target)
+    else:
+        files.check_output(target)
         files.expect_same_kind(one_cell(4), target)
     if not source.is_file():
         msg = f"cannot read {source}: it is missing; expected a mesh file"

@@ -637,13 +637,15 @@ def test_a_format_without_tetrahedra_is_refused_before_a_script_runs(tmp_path, c
 
 @pytest.mark.parametrize(("source", "target", "words"), [
     ("in.ply", "out.vtu", "MeshLab has no format '.vtu'.*or generate_odt_tetrahedralization"),
-    ("in.ply", "no/such/out.ply", "is not a directory"),
+    ("in.ply", "no/such/out.ply", r"no/such/out.ply: \S*no/such is not a directory"),
+    ("in.ply", "folder.ply", r"folder.ply is a directory; expected a path for a new file"),
     ("nowhere.ply", "out.ply", "it is missing"),
     ("some.mlx", "out.ply", "Unknown format for load"),
 ])
 def test_files_that_cannot_be_read_or_written(tmp_path, capsys, source, target, words):
     flat_set().save_current_mesh(str(tmp_path / "in.ply"))
     file = script(tmp_path, ENTRY.format("Taubin Smooth", ""))
+    (tmp_path / "folder.ply").mkdir()
     before = sorted(tmp_path.iterdir())
     assert cli.main(["script", str(file), str(tmp_path / source), str(tmp_path / target)]) == 1
     assert re.search(words, capsys.readouterr().err)
