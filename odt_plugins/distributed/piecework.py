@@ -34,7 +34,7 @@ from odt_plugins.engine.cells.geometry import boundary_vertices, signed_volumes
 from odt_plugins.engine.odt.density import size_field
 from odt_plugins.engine.run.within import Within
 from odt_plugins.engine.topology.star import star_sum
-from odt_plugins.errors import InvalidMeshError, TangledMeshError, counted
+from odt_plugins.errors import InvalidMeshError, TangledMeshError, UnsupportedMeshError, counted
 from odt_plugins.mesh.arrays import BoolArray, FloatArray
 from odt_plugins.mesh.simplex import SimplexMesh, cell_signs, compact_labels
 from odt_plugins.options import Options
@@ -144,16 +144,17 @@ def take_in(
     Raises
     ------
     InvalidMeshError         it is broken, or two of its vertices have the same number
+    UnsupportedMeshError     it holds other cells than linear tetrahedra
     TangledMeshError         cells are inverted or flat, and not to be untangled
     """
     source, path = item
     try:
         found = read_piece(source, regions, untangle=untangle)
-    except InvalidMeshError as exc:
+    except (InvalidMeshError, UnsupportedMeshError) as exc:
         if source in str(exc) or isinstance(exc, TangledMeshError):
             raise
         msg = f"{source}: {exc}"
-        raise InvalidMeshError(msg) from exc
+        raise type(exc)(msg) from exc
     if found is None:
         return None
     piece = found.piece

@@ -660,3 +660,7 @@ def test_a_broken_piece_is_named(tmp_path):
                          bricks(start.points, start.cells, 2))
     with pytest.raises(InvalidMeshError, match=r"^.*piece.*\.vtu: got 1 point .*finite numbers"):
         optimize_file(index, tmp_path / "out.pvtu")
+    broken = piece_files(index)[0][0]
+    meshio.Mesh(start.points[:8], [("hexahedron", np.arange(8)[None])]).write(broken)
+    with pytest.raises(UnsupportedMeshError, match=rf"^{broken}: got a mesh with cells of hexa"):
+        optimize_file(index, tmp_path / "out.pvtu")
