@@ -133,6 +133,8 @@ def untangle_mesh(
             may = "" if options.insert or mesh.dim == 2 or (
                 "insert" in wanted.refused) else "insert=True, "
         why, facets = _overlapping(mesh, cells[left])
+        near = mesh.regions[np.isin(mesh.cells, cells[left]).any(axis=1)]
+        may += "regions=None, " * (len(np.unique(near)) > 1)
         raise _left(mesh, moved.points, np.unique(source[left]),
                     f"for which {tried}{why}",
                     f"try {may}moving what holds them, or untangle(mesh, partial=True) for the "

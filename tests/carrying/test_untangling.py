@@ -215,6 +215,14 @@ def test_nothing_is_said_of_facets_where_none_overlap():
     assert caught.value.facets == ()
 
 
+def test_regions_are_advised_where_an_interface_makes_it_impossible():
+    points, cells, _ = tangled(3, 5, "bent")
+    some = np.arange(len(cells)) < 5
+    with pytest.raises(TangledMeshError, match=r"try insert=True, regions=None, moving what"):
+        odt_plugins.untangle((points, cells), regions=some.astype(int))
+    odt_plugins.untangle((points, cells), regions=None)
+
+
 def test_on_request_the_best_mesh_comes_back():
     points, cells = hopeless()
     out, rows = odt_plugins.untangle((points, cells), partial=True)
