@@ -56,8 +56,10 @@ def held(host: HostMesh, fixed: Any = None) -> HostMesh:
     for k in np.flatnonzero(alone.any(axis=0)).tolist():
         rows = nodes[alone[:, k]][:, np.flatnonzero(shape[corners + k])]
         kept.append(KeptCells("corner", rows.reshape(-1, 1)))
-        if rows.shape[1] == 2:
-            kept.append(KeptCells("edge", rows))
+        facets = [rows] if rows.shape[1] < corners else [
+            np.delete(rows, i, axis=1) for i in range(corners)]
+        kept += [KeptCells("edge" if facet.shape[1] == 2 else "face", facet)
+                 for facet in facets if facet.shape[1] > 1]
     return replace(host, kept=(*host.kept, *kept)) if kept else host
 
 

@@ -8,6 +8,7 @@ import contract
 import meshio
 import numpy as np
 import pytest
+from boxes import box
 from higher_order import places_of, raised, sides
 from quadratic_meshes import churned
 
@@ -267,3 +268,16 @@ def test_values_at_places_that_are_gone_are_named(monkeypatch):
     assert len(caught) == 1
     assert len(edges) > 20
     assert out.point_data["linear"].shape == (len(out.points),)
+
+
+@pytest.mark.parametrize(("d", "order"), [(2, 3), (3, 3), (3, 4)])
+def test_fixed_nodes_within_faces_and_cells_stay(d, order):
+    points, cells = box(d, 4)
+    shape = lattice(d, order, "gmsh")
+    nodes, rows, _ = raised(points, cells, shape, 0.0)
+    for size in range(3, d + 2):
+        own = np.unique(rows[:, (shape > 0).sum(axis=1) == size])[::20]
+        out = odt_plugins.optimize(meshio.Mesh(nodes, [(NAMES[d, order], rows)]), fixed=own)
+        assert not np.array_equal(out.points, nodes)
+        there = {row.tobytes() for row in out.points[np.unique(out.cells[0].data)]}
+        assert all(place.tobytes() in there for place in nodes[own])
