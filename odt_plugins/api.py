@@ -323,7 +323,7 @@ def _as_it_is(mesh: SimplexMesh, _options: Options, _leaving: Leaving) -> Outcom
 def quality(mesh: Any) -> QualitySummary:
     """Sum up the quality of one mesh of any kind that :func:`optimize` takes.
 
-    Its attribute `cells` has the figures of every cell.
+    Its attribute `cells` has the figures of every cell, of those of higher order by their corners.
 
     Flat and inverted cells are counted, not refused. Cells of mixed orientation are turned where
     the mesh then fits together, and counted; otherwise a mesh most of whose cells have negative

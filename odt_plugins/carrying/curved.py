@@ -210,7 +210,7 @@ def curved_volume(host: HostMesh, flat: FloatArray) -> float:
     volume = flat
     if host.nodes is not None and host.shape is not None:
         found = measured(host.points, host.nodes, host.shape)
-        if found.scaled.min(initial=1.0) < 1.0:
+        if found.counts.any():
             volume = np.copysign(found.volume, flat)
     return float(volume.sum())
 
