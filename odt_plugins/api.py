@@ -283,7 +283,11 @@ def untangle_with_report(
         whole, reports = run_parts(mesh, options, one)
         return whole, report_of_parts(reports)
     result, before, outcome, told = _untangled(mesh, chosen, rest, partial=partial)
-    return result, make_report(before, outcome, chosen, **told)
+    report = make_report(before, outcome, chosen, **told)
+    if not (report.untangled or {}).get("left"):
+        plain = tuple(replace(cell, hint="") for cell in report.binding)
+        report = replace(report, binding=plain)
+    return result, report
 
 
 def _untangling(options: Mapping[str, Any]) -> Options:

@@ -439,6 +439,14 @@ def test_untangling_reports_and_tells_how_far_it_is(dim):
     assert odt_plugins.untangle_with_report(contract.grid(dim, 2)[:2])[1].untangled is None
 
 
+def test_no_option_is_advised_where_untangling_would_do_no_more_with_it():
+    points, cells, _ = tangled(3, 6, "bent")
+    for mesh in ((points, cells), contract.grid(3, 3)[:2]):
+        binding = odt_plugins.untangle_with_report(mesh)[1].binding
+        assert {cell.hint for cell in binding} == {""}
+    assert any(cell.hint for cell in odt_plugins.optimize_with_report(mesh)[1].binding)
+
+
 def test_options_without_effect_on_untangling_are_refused():
     mesh = contract.grid(2, 2)[:2]
     for function in (odt_plugins.untangle, odt_plugins.untangle_with_report):
