@@ -10,7 +10,7 @@ import meshio
 import numpy as np
 import pytest
 
-from odt_plugins import optimize_with_report, remesh, remesh_with_report
+from odt_plugins import optimize_with_report, quality, remesh, remesh_with_report
 from odt_plugins.adapters.elevated import _unfold
 from odt_plugins.adapters.higher_order import lattice
 from odt_plugins.carrying import aside
@@ -113,6 +113,7 @@ def test_what_comes_on_the_surface_is_on_the_curved_one_and_no_cell_folds(body, 
     assert (least(out.points, rows) > 0).all()
     assert scaled(out.points, rows) > 0.3 < scaled(x, cells)
     assert report.curved["least_after"] == pytest.approx(scaled(out.points, rows), abs=2e-3)
+    assert quality(mesh).volume == pytest.approx(volume(x, cells), rel=1e-12)
     assert report.before.volume == pytest.approx(volume(x, cells), rel=1e-12)
     assert report.after.volume == pytest.approx(volume(out.points, rows), rel=1e-12)
     assert report.slid["volume"] == pytest.approx(
