@@ -22,7 +22,7 @@ from odt_plugins.engine.run.outcome import Outcome, unchanged
 from odt_plugins.errors import TangledMeshError
 from odt_plugins.figures import volumes
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
-from odt_plugins.mesh.bernstein import jacobian_bounds
+from odt_plugins.mesh.bernstein import jacobian_bounds, mean_determinants
 from odt_plugins.mesh.simplex import SimplexMesh, freeze, reverse
 from odt_plugins.promise.volume import held_vertices
 
@@ -76,8 +76,8 @@ class Kept(NamedTuple):
     ----------
     mesh : SimplexMesh     the one of the engine, with what is held
     outcome : Outcome
-    facts : dict or None   "cells", "vertices_held" and least and mean scaled Jacobian before and
-                           after; None without curved cells
+    facts : dict or None   "cells", "vertices_held", and before and after least and mean scaled
+                           Jacobian and the volume of all cells; None without curved cells
     """
 
     mesh: SimplexMesh
@@ -95,17 +95,10 @@ def measured(points: NDArray[Any], rows: NDArray[Any], shape: NDArray[np.int64])
     shape : (k, d + 1) int    lattice of a cell
     """
     d = shape.shape[1]
-    x = np.asarray(points[rows], dtype=np.float64)
-    x = x - x[:, :1]
-    off = x[:, d:] - np.einsum("ec,mcx->mex", shape[d:] / shape[0].sum(), x[:, :d])
-    off = np.sqrt((off * off).sum(axis=2)).max(axis=1)
-    extent = np.sqrt((x * x).sum(axis=2)).max(axis=1)
-    eps = float(np.finfo(points.dtype).eps)
-    largest = np.abs(np.asarray(points[rows], dtype=np.float64)).max(axis=(1, 2))
+    x, bent, counts = _bent(points, rows, shape)
     flat = abs(volumes(x[:, :d].reshape(-1, x.shape[2]), np.arange(d * len(x)).reshape(-1, d)))
-    out = Curved(np.ones(len(x), dtype=np.bool_), np.ones(len(x)), np.ones(len(x)),
-                 off > np.maximum(ROUNDED * extent, 8 * eps * largest), flat)
-    bent = np.flatnonzero(off > STRAIGHT * extent)
+    out = Curved(
+        np.ones(len(x), dtype=np.bool_), np.ones(len(x)), np.ones(len(x)), counts, flat)
     bounds = jacobian_bounds(x[bent], shape)
     corners = jacobian_bounds(x[bent, :d], np.eye(d, dtype=np.int64)).least
     out.valid[bent], out.scaled[bent] = bounds.valid, bounds.scaled
@@ -113,6 +106,22 @@ def measured(points: NDArray[Any], rows: NDArray[Any], shape: NDArray[np.int64])
     safe = np.where(corners > 0.0, corners, 1.0)
     out.shrunk[bent] = np.where(corners > 0.0, np.maximum(bounds.lower, 0.0) / safe, 0.0)
     return out
+
+
+def _bent(
+    points: NDArray[Any], rows: NDArray[Any], shape: NDArray[np.int64]
+) -> tuple[FloatArray, NDArray[np.intp], BoolArray]:
+    """Nodes (m, k, D) of cells from their first, cells that are not straight, those that count."""
+    d = shape.shape[1]
+    x = np.asarray(points[rows], dtype=np.float64)
+    largest = np.abs(x).max(axis=(1, 2))
+    x = x - x[:, :1]
+    off = x[:, d:] - np.einsum("ec,mcx->mex", shape[d:] / shape[0].sum(), x[:, :d])
+    off = np.sqrt((off * off).sum(axis=2)).max(axis=1)
+    extent = np.sqrt((x * x).sum(axis=2)).max(axis=1)
+    eps = float(np.finfo(points.dtype).eps)
+    return (x, np.flatnonzero(off > STRAIGHT * extent),
+            off > np.maximum(ROUNDED * extent, 8 * eps * largest))
 
 
 def keep_curved(
@@ -209,15 +218,18 @@ def curved_volume(host: HostMesh, flat: FloatArray) -> float:
     """
     volume = flat
     if host.nodes is not None and host.shape is not None:
-        found = measured(host.points, host.nodes, host.shape)
-        if found.counts.any():
-            volume = np.copysign(found.volume, flat)
+        x, bent, counts = _bent(host.points, host.nodes, host.shape)
+        if counts.any():
+            mean = mean_determinants(x[bent], host.shape) / factorial(host.shape.shape[1] - 1)
+            volume = flat.copy()
+            volume[bent] = np.copysign(mean, flat[bent])
     return float(volume.sum())
 
 
 def _facts(
     before: Curved, after: Curved, held: int, *, of_volume: bool
 ) -> dict[str, float] | None:
+    """Facts of :class:`Kept`; None where no cell is curved beyond rounding."""
     if not (before.counts.any() or after.counts.any()):
         return None
     facts: dict[str, float] = {"cells": int(before.counts.sum()), "vertices_held": held}

@@ -7,6 +7,7 @@ the corners. Halving the edges of the reference cell brings bounds and values to
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import cache
 from itertools import product
 from math import factorial, prod
@@ -73,21 +74,31 @@ def jacobian_bounds(x: FloatArray, shape: NDArray[np.int64]) -> Bounds:
     -------
     Bounds    of the determinants times the sign that those of the corners have
     """
-    dim = shape.shape[1] - 1
-    order = int(shape[0].sum())
-    width = len(indices(dim, dim * (order - 1)))
-    step = max(AT_ONCE // (width * 2**dim), 1)
-    parts = [_bounds(coefficients(x[i : i + step], shape), dim, dim * (order - 1))
-             for i in range(0, len(x), step)]
+    dim, order = shape.shape[1] - 1, int(shape[0].sum())
+    parts = [_bounds(values, dim, dim * (order - 1)) for values in _in_parts(x, shape)]
     if not parts:
         return Bounds(*np.zeros((4, 0)))
     return Bounds(*(np.concatenate(values) for values in zip(*parts, strict=True)))
 
 
-def coefficients(x: FloatArray, shape: NDArray[np.int64]) -> FloatArray:
-    """Bernstein coefficients (m, c) of the determinants, as :func:`jacobian_bounds` takes them."""
+def mean_determinants(x: FloatArray, shape: NDArray[np.int64]) -> FloatArray:
+    """Means (m,) of :class:`Bounds` alone, of what :func:`jacobian_bounds` takes."""
     dim, order = shape.shape[1] - 1, int(shape[0].sum())
-    degree = dim * (order - 1)
+    return np.concatenate([np.zeros(0), *(_mean(values, dim, dim * (order - 1))
+                                          for values in _in_parts(x, shape))])
+
+
+def _in_parts(x: FloatArray, shape: NDArray[np.int64]) -> Iterator[FloatArray]:
+    """The determinants of so many cells after the other that bounds of these fit in memory."""
+    dim, order = shape.shape[1] - 1, int(shape[0].sum())
+    step = max(AT_ONCE // (len(indices(dim, dim * (order - 1))) * 2**dim), 1)
+    for i in range(0, len(x), step):
+        yield _determinants(x[i : i + step], shape)
+
+
+def _determinants(x: FloatArray, shape: NDArray[np.int64]) -> FloatArray:
+    """Determinants (m, c) at all weights of their degree, times the signs of those of corners."""
+    dim, order = shape.shape[1] - 1, int(shape[0].sum())
     x = np.asarray(x, dtype=np.float64)
     x = x - x[:, :1]
     corners = x[:, 1 : dim + 1]
@@ -102,8 +113,7 @@ def coefficients(x: FloatArray, shape: NDArray[np.int64]) -> FloatArray:
     if x.shape[2] > dim:
         along = np.broadcast_to(corners[:, None, 2:], (*rows.shape[:2], 1, 3))
         rows = np.concatenate([rows, along], axis=2)
-    values = determinant(np.moveaxis(rows, (2, 3), (0, 1))) * sign[:, None]
-    return np.asarray(values @ _inverse(dim, degree).T)
+    return np.asarray(determinant(np.moveaxis(rows, (2, 3), (0, 1))) * sign[:, None])
 
 
 @cache
@@ -164,14 +174,19 @@ def _halves(dim: int, degree: int) -> FloatArray:
     return np.stack([inverse @ _values(powers, at @ np.array(part)) for part in parts])
 
 
-def _bounds(found: FloatArray, dim: int, degree: int) -> Bounds:
-    """Bounds from coefficients (m, c); rounding makes them wider."""
+def _mean(values: FloatArray, dim: int, degree: int) -> FloatArray:
+    """Mean (m,) of the coefficients from the values (m, c), as all have the same integral."""
+    return np.asarray((values * _inverse(dim, degree).mean(axis=0)).sum(axis=1))
+
+
+def _bounds(values: FloatArray, dim: int, degree: int) -> Bounds:
+    """Bounds from the values (m, c) at all weights; rounding makes them wider."""
+    found = np.asarray(values @ _inverse(dim, degree).T)
     lower, least = _least(found, dim, degree, decide=True)
     upper = -_least(-found, dim, degree, decide=False)[0]
     rounding = 8 * np.finfo(np.float64).eps * np.abs(_inverse(dim, degree)).sum(axis=1).max()
     rounding = rounding * np.abs(found).max(axis=1, initial=0.0)
-    # Bernstein polynomials of one degree have the same integral.
-    return Bounds(lower - rounding, least, upper + rounding, found.mean(axis=1))
+    return Bounds(lower - rounding, least, upper + rounding, _mean(values, dim, degree))
 
 
 def _least(
