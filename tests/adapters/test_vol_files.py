@@ -355,8 +355,9 @@ def test_ends_of_segments_that_slide_have_parameters_of_their_places(tmp_path):
         lines = data[head.end():].split(b"\n", int(head[1]))[:-1]
         rows = np.array([line.split() for line in lines], dtype=float)
         ends, told = rows[:, :2].astype(int).ravel() - 1, rows[:, 4:6].ravel()
-        found.append((np.array(loaded(tmp_path / f"{name}.vol").Coordinates())[ends], told,
-                      np.repeat(rows[:, 6], 2)))
+        # The places are in the memory of the mesh.
+        mesh = loaded(tmp_path / f"{name}.vol")
+        found.append((np.array(mesh.Coordinates())[ends], told, np.repeat(rows[:, 6], 2)))
     (old, was, edge), (new, now, same) = found
     assert np.array_equal(edge, same)
     moved = (old != new).any(axis=1)
