@@ -31,6 +31,14 @@ WISHES = ("scale", "cells", "vertices", "growth", "most_cells", "adapt")
 CURVATURE = "curvature"
 """Size that follows the curvature, and no array of that name."""
 
+MOST_CROWDED, LEAST_STRETCHED, STRETCHES = 2.0, 10.0, 4
+"""Multiple of a number of cells that a metric may make of it before lengths are stretched less,
+ratio of lengths that does not become less, and most such ratios that are tried."""
+
+
+class _CrowdedError(Exception):
+    """The lengths of a metric make so many times as many cells as they should."""
+
 
 @with_option_signature(*NOT_SIZED, boundary="slide")
 def remesh(
@@ -236,21 +244,57 @@ def _wish(size: Any, wishes: dict[str, Any], *, metric: bool) -> Wish:
 def _run(mesh: Any, size: Any, wishes: dict[str, Any], options: Options) -> tuple[Any, ...]:
     """What :func:`odt_plugins.carrying.roundtrip.run_engine` gives."""
     wish = _wish(size, wishes, metric=options.metric is not None)
-    name = size if wish.given and isinstance(size, str) else ""
-    if wishes.get("adapt"):
-        from odt_plugins.metric.field import adapted_metric
-
-        metric = adapted_metric(mesh, wishes["adapt"], wish.cells, wish.vertices, wishes["growth"])
-        options = replace(options, metric=metric)
     if options.fields == "auto":
         options = replace(options, fields="interpolate")
+    if wishes.get("adapt"):
+        return _run_adapted(mesh, wish, wishes["adapt"], wishes["growth"], options)
+    name = size if wish.given and isinstance(size, str) else ""
     if wish.given and not name:
         options = replace(options, density=make_options(density=size).density)
+    return _run_once(mesh, wish, options, name)
+
+
+def _run_adapted(
+    mesh: Any, wish: Wish, names: str | Sequence[str], growth: float | None, options: Options
+) -> tuple[Any, ...]:
+    """As :func:`_run`, in a metric whose cells are stretched as far as the boundary allows.
+
+    Lengths that the boundary does not allow cost cells across them: about in proportion to the
+    square root of the ratio of lengths.
+    """
+    from odt_plugins.metric.field import adapted_metric, largest_ratio
+
+    def crowded(multiple: float) -> None:
+        if multiple > MOST_CROWDED:
+            raise _CrowdedError(multiple)
+
+    ratio, notes = None, ()
+    for tried in range(STRETCHES):
+        metric = adapted_metric(mesh, names, wish.cells, wish.vertices, growth, ratio)
+        ratio = largest_ratio(metric)
+        more = tried < STRETCHES - 1 and ratio > LEAST_STRETCHED
+        try:
+            return _run_once(mesh, replace(wish, crowded=crowded if more else None),
+                             replace(options, metric=metric), notes=notes)
+        except _CrowdedError as found:
+            multiple: float = found.args[0]
+            less = max(ratio * (MOST_CROWDED / multiple) ** 2, LEAST_STRETCHED)
+            notes = (f"cells are stretched {less:.3g} times at most: {ratio:.3g} times made "
+                     f"{multiple:.2g} times as many cells, as the boundary allows no longer edges",)
+            ratio = less
+    return ()
+
+
+def _run_once(
+    mesh: Any, wish: Wish, options: Options, name: str = "", notes: tuple[str, ...] = ()
+) -> tuple[Any, ...]:
+    """Run the engine with sizes, of an array of that name if any; the report has the notes, too."""
 
     def engine(simplices: SimplexMesh, chosen: Options, leaving: Leaving) -> Outcome:
         from odt_plugins.engine.remesh.run import remesh as resized
 
         outcome = resized(_with_still_walls(simplices), chosen, leaving, wish)
+        outcome = replace(outcome, notes=notes + outcome.notes)
         if not simplices.is_surface or simplices.frozen.all():
             return outcome
         from odt_plugins.engine.retile.run import with_kept

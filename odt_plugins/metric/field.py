@@ -15,7 +15,13 @@ from odt_plugins.adapters.registry import find_adapter
 from odt_plugins.engine.cells.content import CONTENT
 from odt_plugins.engine.cells.elementary import power
 from odt_plugins.engine.cells.geometry import signed_volumes
-from odt_plugins.engine.cells.tensors import determinants, eigenvalues, intersection, of_eigenvalues
+from odt_plugins.engine.cells.tensors import (
+    determinants,
+    eigenvalues,
+    intersection,
+    of_eigenvalues,
+    positive_eigenvalues,
+)
 from odt_plugins.errors import InvalidOptionError, expect, is_number, plain_values
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.numbers import real_numbers
@@ -116,12 +122,12 @@ def metric_from_field(
 
 def adapted_metric(
     mesh: Any, names: str | Sequence[str], cells: int | None, vertices: int | None,
-    growth: float | None,
+    growth: float | None, ratio: float | None,
 ) -> FloatArray:
-    """The metric of point arrays for so many cells, or about so many vertices."""
+    """As :func:`metric_from_field` of point arrays, for so many cells or about so many vertices."""
     listed = [names] if isinstance(names, str) else list(names)
     count = cells or 5 * (vertices or 1)
-    return _with_least_error(mesh, listed, count, 2.0, growth, RATIO, "adapt=")
+    return _with_least_error(mesh, listed, count, 2.0, growth, ratio or RATIO, "adapt=")
 
 
 def _with_least_error(
@@ -297,6 +303,12 @@ def cells_of_metric(
     content = np.abs(signed_volumes(points, cells))
     dense = np.sqrt(determinants(metric if along is None else along.along(metric)))
     return float((content * corner_mean(dense, cells)).sum()) / CONTENT[cells.shape[1]]
+
+
+def largest_ratio(metric: FloatArray) -> float:
+    """Largest ratio of lengths in two directions of a metric (n, d, d)."""
+    values = positive_eigenvalues(metric)[0]
+    return float(np.sqrt(values.max(axis=1) / values.min(axis=1)).max())
 
 
 def _of_unit_range(field: FloatArray, cells: IntArray) -> FloatArray:

@@ -61,11 +61,13 @@ class Goal(NamedTuple):
     number : int
     what : str      "cells" or "vertices"
     dim : int       of the cells
+    crowded : callable or None    see :class:`~.wish.Wish`
     """
 
     number: int
     what: str
     dim: int
+    crowded: Callable[[float], None] | None = None
 
     def count(self, outcome: Outcome) -> int:
         """How many an outcome has."""
@@ -84,7 +86,7 @@ def goal_of(wish: Wish, dim: int) -> Goal | None:
     """What number is asked for, None for none."""
     number = wish.cells if wish.vertices is None else wish.vertices
     what = "cells" if wish.vertices is None else "vertices"
-    return None if number is None else Goal(number, what, dim)
+    return None if number is None else Goal(number, what, dim, wish.crowded)
 
 
 def out_of_reach_told(goal: Goal, count: int, mesh: SimplexMesh, options: Options) -> str:

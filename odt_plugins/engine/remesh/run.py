@@ -222,6 +222,8 @@ def _towards(
             nearest.clear()
             nearest[factor] = made
         resizings[factor] = goal.count(made[0].outcome)
+        if goal.crowded and factor == 1.0:
+            goal.crowded(resizings[factor] / goal.number)
         return resizings[factor]
 
     def kept(factor: float) -> int | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from numbers import Integral
 
@@ -28,6 +29,8 @@ class Wish:
     growth : float              largest ratio of the sizes at the ends of an edge as long as the
                                 smaller one
     most_cells : int            a mesh of more is refused
+    crowded : callable or None  called with how many times a number of tetrahedra the lengths of a
+                                metric make of it, before anything is corrected
     """
 
     length: float | None = None
@@ -38,6 +41,7 @@ class Wish:
     curved: bool = False
     growth: float = GROWTH
     most_cells: int = MOST_CELLS
+    crowded: Callable[[float], None] | None = None
 
     def __post_init__(self) -> None:
         """Refuse values out of range, and anything but one wish."""
