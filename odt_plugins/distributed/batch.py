@@ -7,10 +7,8 @@ from __future__ import annotations
 
 import contextlib
 import json
-import multiprocessing
 import os
 import shutil
-import signal
 import subprocess
 import sys
 import tempfile
@@ -35,12 +33,12 @@ from odt_plugins.distributed.job import (
     too_little,
 )
 from odt_plugins.distributed.keys import drop_earlier, job_key, placed, read_alone
-from odt_plugins.distributed.local import end_with
+from odt_plugins.distributed.local import pool_of
 from odt_plugins.distributed.scratch import clear, make_scratch
 from odt_plugins.distributed.versions import expect_versions, versions_here
 from odt_plugins.errors import InvalidOptionError, MeshFileError, exit_name, expect
 from odt_plugins.options import COMPILING, EDGE_LENGTH, make_options
-from odt_plugins.processes import ENDED, GROUP, end_group, expect_limits, handling
+from odt_plugins.processes import ENDED, GROUP, end_group, expect_limits
 from odt_plugins.progress import silent
 from odt_plugins.tetwild import expect_pytetwild
 
@@ -330,10 +328,7 @@ def _as_they_finish(jobs: Sequence[Job], client: Any, workers: int) -> Iterator[
     if client is None:
         groups = [{index: jobs[index] for index in group}
                   for group in share_out(jobs, max(1, len(jobs) // (EACH * workers)))]
-        with handling(signal.SIGINT, signal.SIG_IGN):
-            pool = multiprocessing.get_context("spawn").Pool(workers, end_with, (os.getpid(),))
-        # on Ctrl-C the processes of the pool end, and with them those that they started
-        with pool:
+        with pool_of(workers) as pool:
             for done in pool.imap_unordered(_list_group, groups):
                 yield from done
         return

@@ -4,29 +4,60 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
 import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from multiprocessing.pool import Pool
+from multiprocessing.synchronize import Event
 from typing import Any
 
 from odt_plugins.distributed.apply import Apply
 from odt_plugins.errors import WorkerError
+from odt_plugins.processes import handling
 
 LOOKED = 0.2
 """Seconds between two looks at whether the parent of a process is there."""
 
+NOT_BEGUN = ("worker processes ended while they imported the script of this one; expected a script "
+             'whose work stands under `if __name__ == "__main__":`, try that or workers=0')
+"""What is said where no process came as far as its work."""
 
-def end_with(parent: int) -> None:
-    """Let this process end once its parent is gone, whatever it does then."""
+
+def end_with(parent: int, begun: Event) -> None:
+    """Tell that this process has begun, and let it end once its parent is gone."""
+    begun.set()
+
     def watch() -> None:
         while os.getppid() == parent:
             time.sleep(LOOKED)
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
+
+
+@contextmanager
+def pool_of(workers: int) -> Iterator[Pool]:
+    """Give processes that leave Ctrl-C to this one, and end with it and with the context.
+
+    Raises
+    ------
+    WorkerError    all of them ended before they began
+    """
+    others = set(multiprocessing.active_children())
+    context = multiprocessing.get_context("spawn")
+    begun = context.Event()
+    with handling(signal.SIGINT, signal.SIG_IGN):
+        pool = context.Pool(workers, end_with, (os.getpid(), begun))
+    started = set(multiprocessing.active_children()) - others
+    with pool:
+        while not begun.wait(LOOKED):
+            if all(process.exitcode is not None for process in started):
+                raise WorkerError(NOT_BEGUN)
+        yield pool
 
 
 @contextmanager
@@ -48,14 +79,15 @@ def executor(client: Any = None, workers: int = 0) -> Iterator[Apply]:
 
         yield on_cluster(client)
     elif workers:
-        pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"),
-                                   end_with, (os.getpid(),))
+        context = multiprocessing.get_context("spawn")
+        begun = context.Event()
+        pool = ProcessPoolExecutor(workers, context, end_with, (os.getpid(), begun))
         try:
             yield pool.map
         except BrokenProcessPool as exc:
             msg = ("a worker process ended before its work did; expected enough memory for "
                    f"{workers} blocks at a time, try fewer workers or more blocks")
-            raise WorkerError(msg) from exc
+            raise WorkerError(msg if begun.is_set() else NOT_BEGUN) from exc
         finally:
             pool.shutdown(cancel_futures=True)
     else:

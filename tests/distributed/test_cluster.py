@@ -194,6 +194,30 @@ def test_lost_processes_end_the_run_with_a_sentence(tmp_path):
     assert "WorkerError: a worker process ended before its work did" in done.stderr
 
 
+UNGUARDED = ["""
+from odt_plugins.distributed.local import executor
+
+with executor(workers=1) as apply:
+    list(apply(abs, [1, 2]))
+""", """
+from pathlib import Path
+from odt_plugins.distributed.batch import make_jobs, run_batch
+
+run_batch(make_jobs(["unguarded.py"], Path("out"), {}), workers=1)
+"""]
+
+
+@pytest.mark.parametrize("script", UNGUARDED, ids=["blocks", "batch"])
+def test_scripts_that_processes_cannot_import_end_with_a_sentence(script, tmp_path):
+    (tmp_path / "unguarded.py").write_text(script)
+    done = subprocess.run([sys.executable, "unguarded.py"], cwd=tmp_path, capture_output=True,
+                          text=True, check=False, timeout=60)
+    assert done.returncode == 1
+    last = done.stderr.splitlines()[-1]
+    assert "WorkerError: worker processes ended while they imported the script" in last
+    assert 'if __name__ == "__main__":' in last
+
+
 def test_work_that_kills_every_worker_ends_the_run_with_a_sentence(client):
     import dask
 
