@@ -7,11 +7,12 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing.pool import Pool
+from multiprocessing.process import BaseProcess
 from multiprocessing.synchronize import Event
 from typing import Any
 
@@ -40,6 +41,15 @@ def end_with(parent: int, begun: Event) -> None:
 
 
 @contextmanager
+def _begun(started: set[BaseProcess]) -> Iterator[None]:
+    """Let processes that begin meanwhile leave Ctrl-C to this one, and add them."""
+    others = set(multiprocessing.active_children())
+    with handling(signal.SIGINT, signal.SIG_IGN):
+        yield
+    started |= set(multiprocessing.active_children()) - others
+
+
+@contextmanager
 def pool_of(workers: int) -> Iterator[Pool]:
     """Give processes that leave Ctrl-C to this one, and end with it and with the context.
 
@@ -47,12 +57,10 @@ def pool_of(workers: int) -> Iterator[Pool]:
     ------
     WorkerError    all of them ended before they began
     """
-    others = set(multiprocessing.active_children())
     context = multiprocessing.get_context("spawn")
-    begun = context.Event()
-    with handling(signal.SIGINT, signal.SIG_IGN):
+    begun, started = context.Event(), set[BaseProcess]()
+    with _begun(started):
         pool = context.Pool(workers, end_with, (os.getpid(), begun))
-    started = set(multiprocessing.active_children()) - others
     with pool:
         while not begun.wait(LOOKED):
             if all(process.exitcode is not None for process in started):
@@ -80,14 +88,23 @@ def executor(client: Any = None, workers: int = 0) -> Iterator[Apply]:
         yield on_cluster(client)
     elif workers:
         context = multiprocessing.get_context("spawn")
-        begun = context.Event()
+        begun, started = context.Event(), set[BaseProcess]()
         pool = ProcessPoolExecutor(workers, context, end_with, (os.getpid(), begun))
+
+        def apply(function: Callable[[Any], Any], items: Iterable[Any]) -> Iterator[Any]:
+            with _begun(started):
+                return pool.map(function, items)
+
         try:
-            yield pool.map
+            yield apply
         except BrokenProcessPool as exc:
             msg = ("a worker process ended before its work did; expected enough memory for "
                    f"{workers} blocks at a time, try fewer workers or more blocks")
             raise WorkerError(msg if begun.is_set() else NOT_BEGUN) from exc
+        except BaseException:
+            for process in started:
+                process.terminate()
+            raise
         finally:
             pool.shutdown(cancel_futures=True)
     else:

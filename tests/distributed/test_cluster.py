@@ -194,6 +194,32 @@ def test_lost_processes_end_the_run_with_a_sentence(tmp_path):
     assert "WorkerError: a worker process ended before its work did" in done.stderr
 
 
+STOPPED = """
+import os, signal, sys, time
+from odt_plugins.distributed.local import executor
+
+if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    with executor(workers=2) as apply:
+        for _ in apply(time.sleep, [0, 100]):
+            if sys.argv[1] == "Ctrl-C":
+                os.killpg(0, signal.SIGINT)
+                time.sleep(5)
+            raise ValueError(sys.argv[1])
+"""
+
+
+@pytest.mark.parametrize(("why", "last"), [("Ctrl-C", "KeyboardInterrupt"),
+                                           ("of progress", "ValueError: of progress")])
+def test_processes_end_at_once_and_without_a_word_where_a_run_is_stopped(why, last, tmp_path):
+    (tmp_path / "stopped.py").write_text(STOPPED)
+    done = subprocess.run([sys.executable, "stopped.py", why], cwd=tmp_path, text=True, check=False,
+                          capture_output=True, timeout=60, start_new_session=True)
+    assert done.returncode != 0
+    assert done.stderr.splitlines()[-1] == last
+    assert done.stderr.count("Traceback") == 1
+
+
 UNGUARDED = ["""
 from odt_plugins.distributed.local import executor
 
