@@ -27,7 +27,7 @@ from odt_plugins.generate.coarse import coarse_mesh
 from odt_plugins.generate.levels_report import Level, LevelsReport
 from odt_plugins.generate.project import Target, project
 from odt_plugins.generate.refine3d import check_size, numbered_edges
-from odt_plugins.generate.uniform import uniform_refine
+from odt_plugins.generate.uniform import uniform_refine, unrefined
 from odt_plugins.keywords import OptionKeywords, with_option_signature
 from odt_plugins.mesh.arrays import BoolArray
 from odt_plugins.mesh.facets import row_keys
@@ -137,7 +137,7 @@ def refine(
         raise InvalidOptionError(msg)
     for _ in range(levels):
         mesh = uniform_refine(mesh)
-    return mesh
+    return mesh if levels else unrefined(mesh)
 
 
 @with_option_signature()

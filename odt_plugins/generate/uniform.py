@@ -110,6 +110,15 @@ def uniform_refine(mesh: MeshT) -> MeshT:
     return adapter.write(result, host)
 
 
+def unrefined(mesh: MeshT) -> MeshT:
+    """Copy what :func:`uniform_refine` takes; a meshio.Mesh for a path."""
+    adapter, host = read_linear(mesh)
+    p, t = mesh_arrays(host.points, host.cells)
+    source = np.arange(len(t), dtype=np.int32)
+    return adapter.write(
+        Result(host.points.copy(), host.cells.copy(), source, p.shape[1] == t.shape[1]), host)
+
+
 def read_linear(mesh: Any) -> tuple[Adapter, HostMesh]:
     """Read a mesh of linear triangles or tetrahedra; others are refused."""
     adapter = find_adapter(mesh)

@@ -297,6 +297,19 @@ def test_polydata_stays_polydata_with_its_lines_and_vertices():
         odt_plugins.refine(mesh, optimize=False)
 
 
+def test_no_refinement_gives_what_any_gives_with_the_cells_of_the_mesh(tmp_path):
+    points, cells = surface_meshes.sphere(1)
+    meshio.Mesh(points, [("triangle", cells)]).write(tmp_path / "mesh.vtu")
+    found = odt_plugins.refine(tmp_path / "mesh.vtu", 0, optimize=False)
+    assert type(found) is meshio.Mesh
+    same, rows = odt_plugins.refine((points, cells), 0, optimize=False)
+    assert np.array_equal(same, points)
+    assert np.array_equal(rows, cells)
+    assert not np.shares_memory(same, points)
+    with pytest.raises(UnsupportedMeshError, match="got an object of type NoneType"):
+        odt_plugins.refine(None, 0, optimize=False)
+
+
 def test_refinement_alone_is_as_often_as_asked_and_takes_no_options():
     mesh = surface_meshes.sphere(1)
     twice = generate.uniform_refine(generate.uniform_refine(mesh))
