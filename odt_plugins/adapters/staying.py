@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+from numpy.typing import NDArray
+
 from odt_plugins.adapters.host import CELL_VERTEX, NAMED_VERTEX, SET_VERTEX, HostMesh
 from odt_plugins.errors import counted
 from odt_plugins.mesh.simplex import SimplexMesh
@@ -20,12 +24,16 @@ def note_kept(mesh: SimplexMesh, host: HostMesh, resized: bool) -> tuple[str, ..
     host : HostMesh       that it comes from
     resized : bool        whether faces become others
     """
-    stay = {True: "stays where it is", False: "stay where they are"}
-    notes = tuple(f"{counted(len(rows), kind, kind.replace('vertex', 'vertices'))} "
-                  f"{stay[len(rows) == 1]}" for kind, rows, *_ in host.kept
-                  if kind.startswith((SET_VERTEX, NAMED_VERTEX, CELL_VERTEX))
-                  and mesh.fixed[rows].all())
+    notes = tuple(note for note, rows in held_vertices(host) if mesh.fixed[rows].all())
     return notes + _notes_on_faces(mesh, host) if resized else notes
+
+
+def held_vertices(host: HostMesh) -> list[tuple[str, NDArray[Any]]]:
+    """Say of vertices (q, 1) that sets, the file or cells name that they stay."""
+    stay = {True: "stays where it is", False: "stay where they are"}
+    return [(f"{counted(len(rows), kind, kind.replace('vertex', 'vertices'))} "
+             f"{stay[len(rows) == 1]}", rows) for kind, rows, *_ in host.kept
+            if kind.startswith((SET_VERTEX, NAMED_VERTEX, CELL_VERTEX))]
 
 
 def _notes_on_faces(mesh: SimplexMesh, host: HostMesh) -> tuple[str, ...]:

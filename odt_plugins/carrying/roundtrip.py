@@ -372,7 +372,7 @@ def _untangled(work: Prepared, options: Options, wanted: Wanted) -> Prepared:
         rest = rest_places(wanted.rest, host.points, before.cells, frame)
         wanted = wanted._replace(rest=rest)
     mesh, tangle = untangled_around(host, before, lambda mesh: untangle_mesh(
-        mesh, options, lambda points: places(points)[1], wanted))
+        mesh, options, lambda points: places(points)[1], wanted.seen(host)))
     cells = reverse(mesh.cells, np.full(len(mesh.cells), work.orientation < 0))
     host = replace(host, points=places(mesh.points)[0], cells=cells.astype(host.cells.dtype))
     return work._replace(host=host, mesh=mesh, tangle=tangle)

@@ -9,7 +9,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from odt_plugins.adapters.host import HostMesh
+from odt_plugins.adapters.staying import held_vertices
 from odt_plugins.carrying.sources import in_input_order
+from odt_plugins.engine.cells.geometry import boundary_vertices
 from odt_plugins.errors import FacetPair, InvalidMeshError, TangledMeshError, counted, place_within
 from odt_plugins.figures import QualitySummary, summarize
 from odt_plugins.mesh.arrays import FloatArray, IntArray, LongArray
@@ -78,6 +81,7 @@ class Wanted(NamedTuple):
     growth : float or None           largest growth of a metric along an edge of length 1
     refused : tuple of str           options, some with a value, that the call does not take, of
                                      which nothing is to be said therefore
+    held : tuple of (str, (q, 1))    what is said of vertices that stay, and they
     """
 
     rest: FloatArray | None = None
@@ -87,6 +91,12 @@ class Wanted(NamedTuple):
     sizes: str = ""
     growth: float | None = None
     refused: tuple[str, ...] = ()
+    held: tuple[tuple[str, NDArray[Any]], ...] = ()
+
+    def seen(self, host: HostMesh) -> Wanted:
+        """The same of a mesh whose labels and sets are known."""
+        none = ("regions",) if host.regions is None else ()
+        return self._replace(refused=(*self.refused, *none), held=tuple(held_vertices(host)))
 
 
 def untangle_mesh(
@@ -134,9 +144,11 @@ def untangle_mesh(
                 "insert" in wanted.refused) else "insert=True, "
         why, facets = _overlapping(mesh, cells[left])
         near = mesh.regions[np.isin(mesh.cells, cells[left]).any(axis=1)]
-        may += "regions=None, " * (len(np.unique(near)) > 1)
+        may += "regions=None, " * (len(np.unique(near)) > 1 and "regions" not in wanted.refused)
+        inner = np.setdiff1d(cells[left], np.flatnonzero(boundary_vertices(mesh.cells, n)))
+        held = "".join(f", and {note}" for note, rows in wanted.held if np.isin(rows, inner).any())
         raise _left(mesh, moved.points, np.unique(source[left]),
-                    f"for which {tried}{why}",
+                    f"for which {tried}{why}{held}",
                     f"try {may}moving what holds them, or untangle(mesh, partial=True) for the "
                     f"best mesh there is", facets)
     facts = {

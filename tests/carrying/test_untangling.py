@@ -5,6 +5,7 @@ from fractions import Fraction
 from pathlib import Path
 
 import contract
+import meshio
 import numpy as np
 import pytest
 import reference as ref
@@ -221,6 +222,22 @@ def test_regions_are_advised_where_an_interface_makes_it_impossible():
     with pytest.raises(TangledMeshError, match=r"try insert=True, regions=None, moving what"):
         odt_plugins.untangle((points, cells), regions=some.astype(int))
     odt_plugins.untangle((points, cells), regions=None)
+
+
+def test_sets_that_hold_what_stays_tangled_are_named_and_no_regions_where_there_are_none():
+    points, cells, labels = contract.grid(3, 4)
+    walls = np.array(sorted(contract.facets(cells, labels)))
+    rim = np.unique(walls[(points[walls] != 0.5).any(axis=(1, 2))])
+    inner = np.setdiff1d(np.arange(len(points)), walls)
+    points[inner, 1] = 1.0 - points[inner, 1]
+    mesh = meshio.Mesh(points, [("tetra", cells), ("triangle", walls)],
+                       point_sets={"inner": inner, "rim": rim})
+    with pytest.raises(TangledMeshError) as caught:
+        odt_plugins.untangle(mesh)
+    said = str(caught.value)
+    assert f"found, and {len(inner)} vertices of point set 'inner' stay where they are; " in said
+    assert "set 'rim'" not in said
+    assert "regions=None" not in said
 
 
 def test_on_request_the_best_mesh_comes_back():
