@@ -208,7 +208,7 @@ def _of_order(block: Any, kind: str, shape: Lattice | None) -> bool:
 def write(result: Result, host: HostMesh) -> Any:
     """Copy the caller's mesh and exchange its points and the optimised blocks."""
     out = host.source.copy()
-    origin = None if result.split is not None else getattr(out, ORIGIN, None)
+    origin = getattr(out, ORIGIN, None)
     origin = None if origin is None else origin._replace(cells=[*origin.cells])
     nodes = None if result.vertices is None else result.vertices.origin
     if host.higher_order and result.cells.shape[1] == host.cells.shape[1]:
@@ -221,7 +221,7 @@ def write(result: Result, host: HostMesh) -> Any:
     out.points = result.points
     _follow_links(out, host, nodes)
     if result.split is not None:
-        _refine_others(out, result, host)
+        _refine_others(out, result, host, origin)
     for i, start in host.layout.items():
         block = out.cells[i]
         end = start + len(block.data)
@@ -316,7 +316,7 @@ def _anchors(
                            *(v.ravel().astype(np.int64) for v in named)])
 
 
-def _refine_others(out: Any, result: Result, host: HostMesh) -> None:
+def _refine_others(out: Any, result: Result, host: HostMesh, origin: Origin | None) -> None:
     """Cut the blocks beside the refined cells too, with their data and sets.
 
     A mid-point is in a point set when both ends of its edge are.
@@ -328,6 +328,8 @@ def _refine_others(out: Any, result: Result, host: HostMesh) -> None:
         block.data = as_indices(result.split(np.asarray(block.data)), block.data)
         local = np.repeat(np.arange(size), len(block.data) // size)
         _take(out, i, local, size)
+        if origin is not None:
+            origin.cells[i] = origin.cells[i][local]
     if result.vertices is None:
         return
     for name, members in out.point_sets.items():

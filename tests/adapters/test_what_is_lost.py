@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import warnings
+from pathlib import Path
 
 import meshio
 import numpy as np
@@ -225,9 +226,31 @@ def test_what_a_file_says_besides_its_mesh_is_named_where_another_is_written(nam
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DataNotKeptWarning)
         mesh = read_file(tmp_path / name)
-    for target, given in ((f"b.{name.split('.')[1]}", uniform_refine(mesh)), ("b.vtu", mesh)):
-        with pytest.warns(DataNotKeptWarning, match=re.escape(", ".join(said))):
-            write_file(tmp_path / target, given)
+    with pytest.warns(DataNotKeptWarning, match=re.escape(", ".join(said))):
+        write_file(tmp_path / "b.vtu", mesh)
+    del mesh.read_from
+    with pytest.warns(DataNotKeptWarning, match=re.escape(", ".join(said))):
+        write_file(tmp_path / f"c.{name.split('.')[1]}", mesh)
+
+
+@pytest.mark.parametrize("name", SAYING)
+def test_what_a_file_says_besides_its_mesh_stays_where_that_is_refined(name, tmp_path):
+    text, said = SAYING[name]
+    (tmp_path / name).write_text(text)
+    out = tmp_path / f"b{Path(name).suffix}"
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        given = uniform_refine(uniform_refine(read_file(tmp_path / name)))
+        write_file(out, given)
+        back = read_file(out)
+    assert not [str(told.message) for told in caught if "not keep" in str(told.message)]
+    lines = text.splitlines()
+    for word in said:
+        key = word.removeprefix("*").partition(" of type ")[2] or word
+        own = {"CASE CONTROL": "SOL 101", "*SOLIDSECTION": "*SOLID SECTION"}.get(key, key)
+        assert next(line for line in out.read_text().splitlines() if own in line) in lines
+    np.testing.assert_allclose(back.points[:, :2], given.points[:, :2], atol=1e-15)
+    np.testing.assert_array_equal(back.cells[0].data, given.cells[0].data)
 
 
 @pytest.mark.parametrize("suffix", [".med", ".vol"])
