@@ -42,7 +42,7 @@ from odt_plugins.adapters.lengths import alike
 from odt_plugins.adapters.recolouring import recoloured
 from odt_plugins.adapters.set_labels import as_sets
 from odt_plugins.adapters.stated import declares_no_cells, hope_of, meaning_of
-from odt_plugins.adapters.symbolic import behind, name_behind, with_companions
+from odt_plugins.adapters.symbolic import behind, expect_file, name_behind, with_companions
 from odt_plugins.errors import (
     DataNotKeptWarning,
     InvalidMeshError,
@@ -119,10 +119,7 @@ def read_file(path: str | os.PathLike[str]) -> Any:
     """
     path = with_companions(Path(path))
     formats = _formats(path)
-    if not path.is_file():
-        kind = "a directory" if path.is_dir() else "missing"
-        msg = f"cannot read {path}: it is {kind}; expected a mesh file"
-        raise MeshFileError(msg)
+    expect_file(path)
     if path.suffix.lower() in scene_files.SUFFIXES:
         return _read_scene(path)
     mesh, remarks, name = _read_as(path, formats)

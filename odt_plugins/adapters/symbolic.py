@@ -6,6 +6,8 @@ import glob
 import os
 from pathlib import Path
 
+from odt_plugins.errors import MeshFileError
+
 TWO = (".gz", ".ugrid")
 """Suffixes with another one before them that belongs to the format."""
 
@@ -31,6 +33,24 @@ def with_companions(path: Path) -> Path:
     """
     real = behind(path)
     return real if _alike(real, path) and _beside(real) and not _beside(path) else path
+
+
+def expect_file(path: Path) -> None:
+    """Refuse a path of which the system gives no file.
+
+    Raises
+    ------
+    MeshFileError
+    """
+    try:
+        if path.is_file():
+            path.open("rb").close()
+            return
+        why = f"it is {'a directory' if path.is_dir() else 'missing'}"
+    except OSError as exc:
+        why = exc.strerror or str(exc)
+    msg = f"cannot read {path}: {why}; expected a mesh file"
+    raise MeshFileError(msg)
 
 
 def _alike(path: Path, other: Path) -> bool:

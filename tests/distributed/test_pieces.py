@@ -330,6 +330,24 @@ def test_the_quantile_of_values_in_files_is_that_of_numpy(lists, share):
         assert quantile(names, len(every), share) == np.quantile(every, share)
 
 
+def test_files_that_the_system_does_not_give_are_named(tmp_path, monkeypatch):
+    start = ball(200)
+    index = write_pieces(tmp_path / "in", start.points, start.cells,
+                         bricks(start.points, start.cells, 2))
+    lost, opened = piece_files(index)[0][1], Path.open
+
+    def refusing(path: Path, *given: Any, **more: Any) -> Any:
+        if str(path) == lost:
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), lost)
+        return opened(path, *given, **more)
+
+    monkeypatch.setattr(Path, "open", refusing)
+    for what, how in ((lost, {}), (index, {"target": tmp_path / "out.pvtu"})):
+        with pytest.raises(MeshFileError) as caught:
+            odt_plugins.optimize(what, **how)
+        assert str(caught.value) == f"cannot read {lost}: Permission denied; expected a mesh file"
+
+
 def test_what_does_not_go_with_pieces_is_refused(tmp_path):
     start = ball(100)
     index = write_pieces(tmp_path / "in", start.points, start.cells,
