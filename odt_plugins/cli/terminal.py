@@ -120,10 +120,13 @@ def check_paths(
 
     They take the place of no other file of the command, while `target` may be `source`.
     """
-    beside = [os.path.realpath(p) for p in (report_file, plot_file) if p is not None]
+    beside = {flag: os.path.realpath(path) for flag, path in (
+        ("--report", report_file), ("--plot", plot_file)) if path is not None}
     for word, other in (("OUTPUT", target), ("INPUT", source)):
-        if len({os.path.realpath(other), *beside}) <= len(beside):
-            msg = f"{word}, --report and --plot name the same file; expected different ones"
+        names = {word: os.path.realpath(other), **beside}
+        same = [name for name, path in names.items() if [*names.values()].count(path) > 1]
+        if same:
+            msg = f"{', '.join(same[:-1])} and {same[-1]} name the same file; expected others"
             raise click.UsageError(msg)
     if plot_file is not None:
         if plot_file.suffix.lower() not in PLOT_SUFFIXES:
