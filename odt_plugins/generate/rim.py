@@ -25,10 +25,12 @@ class Rim:
     ----------
     chains : list of (k,) int arrays    from corner to corner, or closed: then the last is the first
     vertices : (b,) int                 all boundary vertices
+    free : list of bool                 whether each chain is closed and passes no corner
     """
 
     chains: list[IntArray]
     vertices: IntArray
+    free: list[bool]
 
 
 def make_rim(cells: IntArray, corners: BoolArray) -> Rim | None:
@@ -57,7 +59,8 @@ def make_rim(cells: IntArray, corners: BoolArray) -> Rim | None:
             chain.append(after[chain[-1]])
         chains.append(np.array(chain, dtype=np.int32))
         seen[chain[:-1]] = True
-    return Rim(chains, starts.astype(np.int32))
+    free = [bool(chain[0] == chain[-1]) and not is_corner[chain[0]] for chain in chains]
+    return Rim(chains, starts.astype(np.int32), free)
 
 
 def spaced(points: FloatArray, rim: Rim, domain: Domain) -> FloatArray:
@@ -69,10 +72,9 @@ def spaced(points: FloatArray, rim: Rim, domain: Domain) -> FloatArray:
     """
     out = points.copy()
     moved = []
-    for chain in rim.chains:
-        closed = chain[0] == chain[-1]
-        ids = chain[:-1] if closed else chain[1:-1]
-        out[ids] = _evenly(points[chain], closed, domain, len(chain) - 1)
+    for chain, free in zip(rim.chains, rim.free, strict=True):
+        ids = chain[:-1] if free else chain[1:-1]
+        out[ids] = _evenly(points[chain], free, domain, len(chain) - 1)
         moved.append(ids)
     ids = np.concatenate(moved)
     out[ids] = domain.project(out[ids])
@@ -87,10 +89,10 @@ def respaced(points: FloatArray, rim: Rim, domain: Domain, unit: float) -> Float
     (b, 2) float64    on fd = 0
     """
     new = []
-    for chain in rim.chains:
-        closed = chain[0] == chain[-1]
+    for chain, free in zip(rim.chains, rim.free, strict=True):
         metric = _metric(points[chain], domain)[-1] / unit
-        new.append(_evenly(points[chain], closed, domain, max(round(metric), 3 if closed else 1)))
+        least = 3 if chain[0] == chain[-1] else 1
+        new.append(_evenly(points[chain], free, domain, max(round(metric), least)))
     return domain.project(np.concatenate(new))
 
 
@@ -101,11 +103,11 @@ def _metric(x: FloatArray, domain: Domain) -> FloatArray:
     return np.concatenate([[0.0], np.cumsum(2.0 * length / (size[1:] + size[:-1]))])
 
 
-def _evenly(x: FloatArray, closed: bool, domain: Domain, count: int) -> FloatArray:
+def _evenly(x: FloatArray, free: bool, domain: Domain, count: int) -> FloatArray:
     """Points that cut a chain into ``count`` parts of one length in units of the size."""
     at = _metric(x, domain)
     wanted = np.linspace(0.0, at[-1], count + 1)
-    if closed:
+    if free:
         wanted = wanted[:-1]
         if count == len(x) - 1:
             wanted = np.mod(wanted + (at[:-1] - wanted).mean(), at[-1])

@@ -294,3 +294,15 @@ def test_lattices_too_large_to_choose_from_are_refused():
     size = hgraded(lambda p: np.hypot(p[:, 0], p[:, 1]), 1e-5, 0.3)
     with pytest.raises(InvalidOptionError, match=r"a lattice of .* points to choose from"):
         odtmesh2d(lambda p: drectangle0(p, -1, 1, -1, 1), size, 1e-5, SQUARE, [[0, 0]])
+
+
+@pytest.mark.parametrize("h0", [0.3, 0.1, 0.05])
+def test_one_fixed_point_on_a_smooth_boundary_is_a_vertex(h0):
+    turn = np.linspace(0.0, 2.0 * np.pi, 7)[:-1]
+    for point in np.stack([np.cos(turn), np.sin(turn)], axis=1):
+        points, cells = odtmesh2d(
+            lambda p: dcircle(p, 0, 0, 1), huniform, h0, [[-1, -1], [1, 1]],
+            [point])
+        assert np.array_equal(points[0], point)
+        assert (cells == 0).any()
+        assert np.linalg.norm(points[1:] - point, axis=1).min() > 0.5 * h0
