@@ -150,15 +150,15 @@ def fixed_points(pfix: ArrayLike | None, domain: Domain, h0: float) -> FloatArra
         msg = (f"got the fixed point {fixed[bad[0]].tolist()} at index {bad[0]} ({bad.size} of "
                "them); expected finite coordinates")
         raise InvalidOptionError(msg)
-    _, first = np.unique(fixed, axis=0, return_index=True)
-    fixed = fixed[np.sort(first)]
+    first = np.sort(np.unique(fixed, axis=0, return_index=True)[1])
+    fixed = fixed[first]
     beyond = (fixed < domain.low) | (fixed > domain.high)
     slack = 1e-9 * domain.diagonal
     away = domain.distance(fixed)
     out = np.flatnonzero((away > min(1e-3 * h0, 1e-3 * domain.diagonal) + slack)
                          | beyond.any(axis=1))
     if out.size:
-        msg = (f"got the fixed point {fixed[out[0]].tolist()} at index {out[0]} "
+        msg = (f"got the fixed point {fixed[out[0]].tolist()} at index {first[out[0]]} "
                f"({out.size} of them), where fd = {away[out[0]]:.3g}; expected points of the "
                "domain, where fd is 0 or less, in bbox")
         raise InvalidOptionError(msg)

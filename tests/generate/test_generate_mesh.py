@@ -306,3 +306,9 @@ def test_one_fixed_point_on_a_smooth_boundary_is_a_vertex(h0):
         assert np.array_equal(points[0], point)
         assert (cells == 0).any()
         assert np.linalg.norm(points[1:] - point, axis=1).min() > 0.5 * h0
+
+
+def test_a_fixed_point_outside_is_told_by_its_own_index_where_others_are_repeated():
+    with pytest.raises(InvalidOptionError, match=r"\[2.0, 0.0\] at index 2 \(1 of them\)"):
+        odtmesh2d(lambda p: dcircle(p, 0, 0, 1), huniform, 0.2, [[-3, -3], [3, 3]],
+                  [[1, 0], [1, 0], [2, 0]])
