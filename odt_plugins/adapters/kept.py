@@ -66,7 +66,7 @@ def protect(
                                  sizes change vertices of a set that are those of facets come and
                                  go, within the border of these
     anchors : (k,) int           vertices that must not be removed; none out of range counts
-    free : bool                  whether the vertices of lines and triangles inside may move
+    free : bool                  whether the vertices of facets inside may move
     resized : bool               whether those with classes may become others
 
     Returns
@@ -117,8 +117,8 @@ def protect(
                 continue
         loose.append(rows.ravel())
     anchored = _anchored(anchors, n)
-    if not free:
-        loose += [rows.ravel() for rows in inner]
+    loose += [rows.ravel() for rows in inner
+              if not (free and rows.shape[1] == mesh.cells.shape[1] - 1)]
     faces = _named(named, 2), _named(named, 3)
     fixed = mesh.fixed | ends_of(faces[0], n) | ends_of(_named(alike, 2), n)
     fixed[np.concatenate(loose)] = True

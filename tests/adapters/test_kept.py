@@ -108,6 +108,21 @@ def test_a_sheet_inside_holds_its_own_vertices_alone(inside, options, where):
     assert report.after.min_quality >= report.before.min_quality
 
 
+@pytest.mark.parametrize("boundary", ["fixed", "slide"])
+def test_lines_inside_of_tetrahedra_stay_where_triangles_inside_are_free(boundary):
+    points, cells, _ = contract.grid(3, 4, 3)
+    rows, _ = facets_of(cells)
+    mesh = beside(points, cells, rows[(rows % 5 == 2).all(axis=1)])
+    inner = ((points > 0.0) & (points < 1.0)).all(axis=1)
+    edges = np.sort(cells[:, :2], axis=1)
+    wire = edges[inner[edges].all(axis=1) & (edges % 5 != 2).all(axis=1)][:4]
+    mesh = meshio.Mesh(points, [*mesh.cells, ("line", wire)])
+    result = odt_plugins.optimize(mesh, free="inside", boundary=boundary)
+    held = np.unique(wire)
+    assert np.array_equal(result.points[held], points[held])
+    assert (result.points != points)[inner].any()
+
+
 def test_values_of_a_field_come_across_triangles_that_moved():
     points, cells, _ = contract.grid(3, 4, 3)
     mesh = beside(points, cells, facets_of(cells)[0])
