@@ -21,6 +21,7 @@ from odt_plugins.errors import UnsupportedMeshError
 from odt_plugins.mesh.bernstein import jacobian_bounds
 from odt_plugins.mesh.facets import row_keys
 from odt_plugins.mesh.numbers import vertex_mask
+from odt_plugins.mesh.simplex import barycentric
 
 STRAIGHT = 1e-3
 """Largest distance of a node from the middle of its edge, in lengths of the edge, for which the
@@ -199,7 +200,7 @@ def _in_curved(
         if not len(left):
             break
         around = points[nodes[cell]]
-        away = x[left] - (shape_values(shape, weights)[:, :, None] * around).sum(axis=1)
+        away = x[left] - _places(shape, weights, around)
         size = (away * away).sum(axis=1)
         closer = size < off[left]
         off[left[closer]] = size[closer]
@@ -207,8 +208,41 @@ def _in_curved(
         edge = ((around[:, 1] - around[:, 0]) ** 2).sum(axis=1)
         open_ = (size > CLOSE * CLOSE * edge) & (size <= ASTRAY * off[left])
         flat = (weights[:, :, None] * around[:, : weights.shape[1]]).sum(axis=1)
+        aim = _aimed(shape, weights, around, x[left]) - flat
+        good = closer & ((aim * aim).sum(axis=1) <= edge)
         left, near = left[open_], cell[open_].astype(np.int32)
-        cell, weights = locate((flat + away)[open_], near)
+        cell, weights = locate((flat + np.where(good[:, None], aim, away))[open_], near)
+    return out
+
+
+def _aimed(
+    shape: NDArray[np.int64], weights: NDArray[np.float64], around: NDArray[np.float64],
+    x: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Places in flat cells whose places in curved ones are x, to first order around weights.
+
+    Of a quadratic map y the tangent at w has 4 y((w + e) / 2) - 2 y(w) - y(e) at the corner e. In
+    surfaces in space there are no such places.
+    """
+    k = weights.shape[1]
+    if x.shape[1] != k - 1:
+        return np.full_like(x, np.inf)
+    corners, there = around[:, :k], _places(shape, weights, around)
+    tangent = np.stack([
+        4.0 * _places(shape, 0.5 * (weights + np.eye(k)[i]), around) - 2.0 * there - corners[:, i]
+        for i in range(k)], axis=1)
+    found = barycentric(tangent, x)
+    found[~np.isfinite(found).all(axis=1)] = np.inf
+    with np.errstate(invalid="ignore"):
+        out: NDArray[np.float64] = (found[:, :, None] * corners).sum(axis=1)
+    return out
+
+
+def _places(
+    shape: NDArray[np.int64], weights: NDArray[np.float64], around: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Places (q, D) of barycentric coordinates in curved cells, of nodes (q, k, D)."""
+    out: NDArray[np.float64] = (shape_values(shape, weights)[:, :, None] * around).sum(axis=1)
     return out
 
 

@@ -255,6 +255,18 @@ def test_the_set_of_a_side_has_all_nodes_there_and_none_of_the_sides_next_to_it(
     assert np.array_equal(np.sort(out.point_sets["left"]), there)
 
 
+@pytest.mark.parametrize("turn", [1.0, 1.5, 2.0])
+@pytest.mark.parametrize("scale", [0.7, 1.4])
+def test_linear_fields_are_exact_in_cells_that_are_bent_far(scale, turn):
+    x, nodes = quadratic(*box(3, 3))
+    radius, angle = 0.3 + x[:, 0], turn * x[:, 1]
+    x = np.stack([radius * np.cos(angle), radius * np.sin(angle), x[:, 2]], axis=1)
+    mesh = meshio.Mesh(x, [("tetra10", nodes)], point_data={"x": x.copy()})
+    out = remesh(mesh, scale=scale)
+    assert len(out.points) != len(x)
+    assert np.allclose(out.point_data["x"], out.points, rtol=0, atol=1e-8)
+
+
 def test_triangles_of_second_order_in_the_plane():
     points, cells = box(2, 6)
     edges, place = np.unique(np.sort(cells[:, THREE], axis=2).reshape(-1, 2), axis=0,
