@@ -221,17 +221,16 @@ def _aimed(
 ) -> NDArray[np.float64]:
     """Places in flat cells whose places in curved ones are x, to first order around weights.
 
-    Of a quadratic map y the tangent at w has 4 y((w + e) / 2) - 2 y(w) - y(e) at the corner e. In
-    surfaces in space there are no such places.
+    Of a quadratic map y the tangent at w has 4 y((w + e) / 2) - 2 y(w) - y(e) at the corner e. On
+    triangles in space the places are those nearest to x.
     """
     k = weights.shape[1]
-    if x.shape[1] != k - 1:
-        return np.full_like(x, np.inf)
     corners, there = around[:, :k], _places(shape, weights, around)
     tangent = np.stack([
         4.0 * _places(shape, 0.5 * (weights + np.eye(k)[i]), around) - 2.0 * there - corners[:, i]
-        for i in range(k)], axis=1)
-    found = barycentric(tangent, x)
+        for i in range(k)], axis=1) - x[:, None]
+    along = np.einsum("qid,qjd->qij", tangent, tangent[:, 1:] - tangent[:, :1])
+    found = barycentric(along, np.zeros((len(x), k - 1)))
     found[~np.isfinite(found).all(axis=1)] = np.inf
     with np.errstate(invalid="ignore"):
         out: NDArray[np.float64] = (found[:, :, None] * corners).sum(axis=1)

@@ -267,6 +267,21 @@ def test_linear_fields_are_exact_in_cells_that_are_bent_far(scale, turn):
     assert np.allclose(out.point_data["x"], out.points, rtol=0, atol=1e-8)
 
 
+@pytest.mark.parametrize("turn", [1.0, 2.0, 2.5])
+@pytest.mark.parametrize("scale", [0.7, 1.4])
+def test_linear_fields_are_exact_in_triangles_of_a_plane_in_space_that_are_bent_far(scale, turn):
+    corners, cells = box(2, 4)
+    edges = np.sort(cells[:, THREE], axis=2).reshape(-1, 2)
+    edges, place = np.unique(edges, axis=0, return_inverse=True)
+    x = np.concatenate([corners, corners[edges].mean(axis=1)])
+    radius, angle = 0.3 + x[:, 0], turn * x[:, 1]
+    x = np.stack([radius * np.cos(angle), radius * np.sin(angle), 0 * angle], axis=1)
+    nodes = np.concatenate([cells, len(corners) + place.reshape(-1, 3)], axis=1)
+    out = remesh(meshio.Mesh(x, [("triangle6", nodes)], point_data={"x": x.copy()}), scale=scale)
+    assert len(out.points) != len(x)
+    assert np.allclose(out.point_data["x"], out.points, rtol=0, atol=1e-8)
+
+
 def test_triangles_of_second_order_in_the_plane():
     points, cells = box(2, 6)
     edges, place = np.unique(np.sort(cells[:, THREE], axis=2).reshape(-1, 2), axis=0,
