@@ -71,7 +71,8 @@ def remesh(
     adapt : str or list of str
                               point arrays to whose second derivatives sizes and shapes of cells are
                               adapted, see :func:`odt_plugins.metric_from_field`; beside `cells` or
-                              `vertices`
+                              `vertices`. Tetrahedra are stretched less where their boundary allows
+                              no longer edges, as the report says
     **options
                               The fields of :class:`odt_plugins.Options`, but `insert` and
                               `density`. The default of `boundary` is "slide" here: vertices of the
@@ -259,8 +260,8 @@ def _run_adapted(
 ) -> tuple[Any, ...]:
     """As :func:`_run`, in a metric whose cells are stretched as far as the boundary allows.
 
-    Lengths that the boundary does not allow cost cells across them: about in proportion to the
-    square root of the ratio of lengths.
+    Where the boundary does not allow the longest lengths, cells are more by about the square root
+    of the ratio of lengths.
     """
     from odt_plugins.metric.field import adapted_metric, largest_ratio
 
@@ -272,15 +273,16 @@ def _run_adapted(
     for tried in range(STRETCHES):
         metric = adapted_metric(mesh, names, wish.cells, wish.vertices, growth, ratio)
         ratio = largest_ratio(metric)
-        more = tried < STRETCHES - 1 and ratio > LEAST_STRETCHED
+        more = tried < STRETCHES - 1 and ratio > 2.0 * LEAST_STRETCHED
         try:
             return _run_once(mesh, replace(wish, crowded=crowded if more else None),
                              replace(options, metric=metric), notes=notes)
         except _CrowdedError as found:
             multiple: float = found.args[0]
-            less = max(ratio * (MOST_CROWDED / multiple) ** 2, LEAST_STRETCHED)
-            notes = (f"cells are stretched {less:.3g} times at most: {ratio:.3g} times made "
-                     f"{multiple:.2g} times as many cells, as the boundary allows no longer edges",)
+            less = max(ratio * min((MOST_CROWDED / multiple) ** 2, 0.5), LEAST_STRETCHED)
+            notes = (f"cells are to be stretched {less:.3g} times at most, as {ratio:.3g} times "
+                     f"made {multiple:.2g} times as many as asked for: the boundary allows no "
+                     "longer edges",)
             ratio = less
     return ()
 

@@ -10,6 +10,7 @@ from strategies import jittered
 
 import odt_plugins
 from odt_plugins.cli import main as cli
+from odt_plugins.generate import clouds
 from odt_plugins.report.interpolation import interpolation_errors
 
 
@@ -37,6 +38,17 @@ def test_the_command_adapts_to_an_array(tmp_path):
     errors = [interpolation_errors(m.points[:, :2], m.cells_dict["triangle"], front).l2
               for m in (out, uniform)]
     assert errors[0] < 0.4 * errors[1]
+
+
+def test_cells_are_stretched_as_far_as_the_boundary_allows():
+    points, cells = clouds.ball(60)
+    field = points[:, 0] ** 2 / np.abs(points).max() ** 2
+    mesh = meshio.Mesh(points, [("tetra", cells)], {"u": field})
+    out, report = odt_plugins.remesh_with_report(mesh, adapt="u", cells=2 * len(cells))
+    assert abs(len(out.cells_dict["tetra"]) / (2 * len(cells)) - 1.0) < 0.1
+    assert any("cells are to be stretched" in note for note in report.notes)
+    assert report.fallback is None
+    assert report.after.mean_quality > report.before.mean_quality + 0.3
 
 
 def test_a_batch_is_adapted(tmp_path):
