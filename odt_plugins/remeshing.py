@@ -269,7 +269,8 @@ def _run_adapted(
         if multiple > MOST_CROWDED:
             raise _CrowdedError(multiple)
 
-    ratio, notes = None, ()
+    ratio: float | None = None
+    notes: tuple[str, ...] = ()
     for tried in range(STRETCHES):
         metric = adapted_metric(mesh, names, wish.cells, wish.vertices, growth, ratio)
         ratio = largest_ratio(metric)
@@ -280,7 +281,7 @@ def _run_adapted(
         except _CrowdedError as found:
             multiple: float = found.args[0]
             less = max(ratio * min((MOST_CROWDED / multiple) ** 2, 0.5), LEAST_STRETCHED)
-            notes = (f"cells are to be stretched {less:.3g} times at most, as {ratio:.3g} times "
+            notes = (f"cells are to be stretched {less:.3g} times at most, as {ratio:.4g} times "
                      f"made {multiple:.2g} times as many as asked for: the boundary allows no "
                      "longer edges",)
             ratio = less

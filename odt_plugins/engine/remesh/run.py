@@ -153,6 +153,7 @@ def remesh(mesh: SimplexMesh, options: Options, leaving: Leaving, wish: Wish) ->
     small = welded(mesh) if slides else None
     if small is not None:
         return as_welded(mesh, small, options, leaving, partial(remesh, wish=wish))
+    clock = time.perf_counter()
     base, sizes = sizes_as_wished(mesh, options, wish)
     unused = told_of_unused(options) if mesh.dim == 2 else ()
     options = replace(
@@ -188,7 +189,9 @@ def remesh(mesh: SimplexMesh, options: Options, leaving: Leaving, wish: Wish) ->
     goal = goal_of(wish, mesh.dim)
     outcome = (tries(sizes, Course())[0] if goal is None
                else _towards(goal, base, sizes, options, tries, stiff))
-    return replace(outcome, notes=unused + sizes.notes + outcome.notes)
+    rest = time.perf_counter() - clock - sum(outcome.times.values())
+    return replace(outcome, notes=unused + sizes.notes + outcome.notes,
+                   times=sums(outcome.times, {"checks and other attempts": rest}))
 
 
 def _towards(

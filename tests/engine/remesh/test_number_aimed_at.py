@@ -154,16 +154,18 @@ def test_a_poor_tail_counts_but_where_a_metric_gave_other_sizes(monkeypatch, siz
     assert tails == [not (sized and stretched)]
 
 
-def test_the_time_in_which_sizes_are_found_is_told(monkeypatch):
-    resized = run.with_sizes
+@pytest.mark.parametrize(("name", "told"), [
+    ("with_sizes", "resizing"), ("broken_by_remeshing", "checks and other attempts")])
+def test_the_time_of_finding_sizes_and_of_checks_is_told(name, told, monkeypatch):
+    whole = getattr(run, name)
 
-    def slow(*how):
+    def slow(*args, **options):
         time.sleep(0.1)
-        return resized(*how)
+        return whole(*args, **options)
 
-    monkeypatch.setattr(run, "with_sizes", slow)
+    monkeypatch.setattr(run, name, slow)
     _, report = odt_plugins.remesh_with_report(boxes.box(3, 3), cells=500, threads=1)
-    assert report.times["resizing"] >= 0.1
+    assert report.times[told] >= 0.1
 
 
 def test_an_input_nearer_to_the_number_does_not_stand_for_a_mesh_that_was_made():
