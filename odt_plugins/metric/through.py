@@ -38,8 +38,8 @@ def with_metric(
 ) -> tuple[SimplexMesh, Options, tuple[str, ...]]:
     """Let a mesh have its metric.
 
-    Where tetrahedra are resized and their boundary slides, no length along a surface is longer than
-    the envelope allows, unless the metric is that of the mesh itself.
+    Where a surface slides that is resized, of tetrahedra or in space, no length along it is longer
+    than the envelope allows, unless the metric is that of the mesh itself.
 
     Parameters
     ----------
@@ -71,7 +71,8 @@ def with_metric(
     notes: tuple[str, ...] = ()
     if growth is not None:
         own = isinstance(given, str)
-        if mesh.dim == 3 and options.boundary == "slide" and not own:
+        curved = mesh.dim == 3 or mesh.is_surface
+        if curved and options.boundary == "slide" and not own:
             metric, notes = _within_chords(mesh, metric, options)
         metric = grown_metric(mesh.points, mesh.cells, metric, growth)
     options = replace(options, metric=None, density="uniform")

@@ -1,4 +1,4 @@
-"""Metrics of tetrahedra ask for no lengths along surfaces that the envelope does not allow."""
+"""Metrics ask for no lengths along surfaces that the envelope does not allow."""
 
 from __future__ import annotations
 
@@ -6,12 +6,14 @@ import boxes
 import numpy as np
 import pytest
 from scipy.spatial import Delaunay
+from surface_meshes import sphere
 from tet_meshes import ball, oriented, signed_volumes
 
 import odt_plugins
 from odt_plugins.engine.cells.geometry import boundary_vertices
 from odt_plugins.engine.remesh.chords import chord_metric
 from odt_plugins.mesh.simplex import simplex_mesh
+from odt_plugins.mesh.surface import surface_mesh
 
 NOTE = "the envelope allows no longer edges"
 
@@ -70,6 +72,28 @@ def test_a_field_of_one_direction_is_followed_on_a_ball():
     was = np.ptp(points[cells][:, :, 2], axis=1).mean() / np.ptp(
         points[cells][:, :, :2], axis=1).mean()
     assert height < 0.5 * was
+
+
+@pytest.mark.parametrize("radius", [1.0, 20.0])
+def test_chords_of_triangles_of_a_sphere_are_as_long_in_all_directions_along_it(radius):
+    points, triangles = sphere(3)
+    unit = points / np.linalg.norm(points, axis=1)[:, None]
+    metric = chord_metric(surface_mesh(radius * unit, triangles), 0.01, 40.0)
+    normal, *along = np.moveaxis(np.linalg.eigvalsh(metric), 1, 0)
+    for values in along:
+        assert values == pytest.approx(1.0 / (8 * 0.5 * 0.01 * radius), rel=0.2)
+    assert np.abs(normal).max() < 0.1 * along[1].min()
+
+
+def test_triangles_of_a_sphere_are_stretched_as_far_as_the_envelope_allows():
+    points, triangles = sphere(2)
+    metric = np.tile(np.diag([15.0, 0.5, 0.5]) ** 2, (len(points), 1, 1))
+    (x, t), report = odt_plugins.remesh_with_report(
+        (points, triangles), metric=metric, cells=2 * len(triangles), envelope=0.01)
+    assert any(NOTE in note for note in report.notes)
+    assert len(t) == pytest.approx(2 * len(triangles), rel=0.05)
+    assert report.after.mean_quality > 0.9
+    assert np.ptp(x[t][:, :, 0], axis=1).mean() < 0.6 * np.ptp(x[t][:, :, 1], axis=1).mean()
 
 
 def test_metrics_of_flat_bodies_and_of_boundaries_that_stay_are_taken_as_they_are():

@@ -177,7 +177,7 @@ def chord_metric(mesh: SimplexMesh, envelope: float, angle: float) -> FloatArray
 
     Parameters
     ----------
-    mesh : SimplexMesh    of tetrahedra
+    mesh : SimplexMesh    of tetrahedra, or of triangles in space
     envelope : float      length
     angle : float         degrees by which a surface turns at a feature edge
 
