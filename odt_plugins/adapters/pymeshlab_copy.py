@@ -244,11 +244,26 @@ def _warn_of_losses(mesh: Any) -> None:
         with suppress(MissingComponentException), muted():
             getattr(mesh, f"{kind}_curvature_principal_dir1_matrix")()
             lost.append(f"the curvature directions per {kind}")
-    if len(mesh.polygonal_face_list()) != mesh.face_number():
+    if has_polygons(mesh):
         lost.append("the polygons, which are now triangles")
     if lost:
         msg = f"the mesh was built anew; MeshLab does not take over {' and '.join(lost)}"
         warn(msg, DataNotKeptWarning)
+
+
+def has_polygons(mesh: Any) -> bool:
+    """Whether MeshLab takes triangles of a mesh for parts of polygons.
+
+    The list of polygons of a mesh never ends where a filter, such as one that subdivides, leaves
+    edges within polygons that are such on one side alone.
+    """
+    with tempfile.TemporaryDirectory(prefix="odt-plugins-") as folder:
+        file = Path(folder) / "mesh.ply"
+        without_pictures(mesh).save_current_mesh(
+            str(file), save_textures=False,
+            **BARE | {"save_face_flag": True, "save_wedge_texcoord": False})
+        return pymeshlab_ply.in_polygons(
+            file.read_bytes(), mesh.vertex_number(), mesh.face_number())
 
 
 @contextmanager

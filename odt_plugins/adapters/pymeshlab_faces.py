@@ -17,7 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.adapters.host import Result
-from odt_plugins.adapters.pymeshlab_copy import custom_attributes, muted, textures, without_pictures
+from odt_plugins.adapters.pymeshlab_copy import (
+    custom_attributes,
+    has_polygons,
+    muted,
+    textures,
+    without_pictures,
+)
 from odt_plugins.adapters.pymeshlab_ply import FACE_SCALAR
 from odt_plugins.adapters.wedges import carried, slid
 from odt_plugins.errors import DataNotKeptWarning, warn
@@ -105,7 +111,7 @@ def set_faces(meshes: Any, result: Result) -> None:
         wedges = carried(mesh.wedge_tex_coord_matrix().reshape(-1, 3, 2), old, result)
     if mesh.has_vertex_tex_coord() and result.feet is not None:
         uv = slid(mesh.vertex_tex_coord_matrix(), old, result.feet)
-    if len(mesh.polygonal_face_list()) != len(old):
+    if has_polygons(mesh):
         warn("MeshLab does not keep the polygons, which are now triangles", DataNotKeptWarning)
         meshes.apply_filter("meshing_poly_to_tri")
     own = _own_places(mesh.vertex_matrix())

@@ -14,6 +14,9 @@ from odt_plugins.adapters.wedges import carried, slid
 SELECTED = 0x20
 """Bit of a selected vertex or face in the property `flags` of MeshLab's PLY files."""
 
+WITHIN = 0x1C0000
+"""Bits of the edges of a face that are within a polygon, in that property."""
+
 VERTEX_SCALAR, FACE_SCALAR = "vertex scalar", "face scalar"
 VERTEX_COLOUR = "vertex color"
 """Names of MeshLab's own scalars and colours among custom attributes."""
@@ -109,6 +112,19 @@ def texture_numbers(file: bytes, n: int, m: int) -> tuple[list[str], NDArray[np.
     row = np.dtype([("vertices", "V13"), ("wedges", "V25"), ("number", "<i4")])
     rows = np.frombuffer(body, row, count=m, offset=24 * n)
     return names, rows["number"].astype(np.int32)
+
+
+def in_polygons(file: bytes, n: int, m: int) -> bool:
+    """Whether any edge is within a polygon of n vertices and m faces in a binary PLY file.
+
+    Parameters
+    ----------
+    file : bytes     of vertex coordinates in double precision and flags of faces, by MeshLab
+    n, m : int       number of vertices and faces
+    """
+    row = np.dtype([("vertices", "V13"), ("flags", "<i4")])
+    rows = np.frombuffer(file.partition(b"end_header\n")[2], row, count=m, offset=24 * n)
+    return bool((rows["flags"] & WITHIN).any())
 
 
 def _element(header: list[str], name: str, count: int, columns: Columns) -> bytes:

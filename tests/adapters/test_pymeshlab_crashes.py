@@ -1,4 +1,4 @@
-"""Where others raise, pymeshlab ends the process: this file is a program too, run beside the tests.
+"""Where others raise, pymeshlab ends the process, or never ends: this file is a program, too.
 
 New memory is filled with a pattern (glibc's MALLOC_PERTURB_): custom attributes that came into a
 set with `add_mesh()` hold uninitialised memory, and MeshLab's function filters read it.
@@ -126,12 +126,31 @@ def survive_function_filters():
         assert len(np.unique(before[2])) > 50
 
 
-@pytest.mark.parametrize("part", ["survive_shapes", "survive_function_filters"])
+def survive_polygons():
+    """A cube keeps parts of its squares' diagonals where it is subdivided."""
+    import pymeshlab
+
+    import odt_plugins
+
+    meshes = pymeshlab.MeshSet()
+    meshes.create_cube()
+    meshes.meshing_surface_subdivision_midpoint(threshold=pymeshlab.PercentageValue(0))
+    meshes.meshing_odt_optimization()
+    with pytest.warns(odt_plugins.DataNotKeptWarning, match="polygons, which are now"):
+        finer = odt_plugins.remesh(meshes, scale=0.5)
+    with pytest.warns(odt_plugins.DataNotKeptWarning, match="polygons, which are now"):
+        meshes.meshing_odt_remeshing(targetlen=pymeshlab.PercentageValue(10))
+    for mesh in (finer.current_mesh(), meshes.current_mesh()):
+        assert len(mesh.polygonal_face_list()) == mesh.face_number()
+
+
+@pytest.mark.parametrize("part", ["survive_shapes", "survive_function_filters",
+                                  "survive_polygons"])
 def test_nothing_ends_the_process(part):
     if not find_spec("pymeshlab"):
         pytest.skip("pymeshlab is missing")
     done = subprocess.run([sys.executable, "-X", "faulthandler", __file__, part], check=False,
-                          capture_output=True, text=True,
+                          capture_output=True, text=True, timeout=120,
                           env={**os.environ, "MALLOC_PERTURB_": "165",
                                "PYTHONPATH": os.pathsep.join(filter(None, sys.path))})
     assert done.returncode == 0, (done.stdout[-200:], done.stderr[-800:])
