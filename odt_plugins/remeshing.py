@@ -35,6 +35,9 @@ MOST_CROWDED, LEAST_STRETCHED, STRETCHES = 2.0, 10.0, 4
 """Multiple of a number of cells that a metric may make of it before lengths are stretched less,
 ratio of lengths that does not become less, and most such ratios that are tried."""
 
+HARDLY_FEWER = 0.8
+"""Part of that multiple above which it is not the ratio of lengths that makes so many cells."""
+
 
 class _CrowdedError(Exception):
     """The lengths of a metric make so many times as many cells as they should."""
@@ -270,7 +273,7 @@ def _run_adapted(
             raise _CrowdedError(multiple)
 
     ratio: float | None = None
-    notes: tuple[str, ...] = ()
+    before, notes = np.inf, tuple[str, ...]()
     for tried in range(STRETCHES):
         metric = adapted_metric(mesh, names, wish.cells, wish.vertices, growth, ratio)
         ratio = largest_ratio(metric)
@@ -280,12 +283,15 @@ def _run_adapted(
                              replace(options, metric=metric), notes=notes)
         except _CrowdedError as found:
             multiple: float = found.args[0]
+            if multiple > HARDLY_FEWER * before:
+                break
             less = max(ratio * min((MOST_CROWDED / multiple) ** 2, 0.5), LEAST_STRETCHED)
             notes = (f"cells are to be stretched {less:.3g} times at most, as {ratio:.4g} times "
                      f"made {multiple:.2g} times as many as asked for: the boundary allows no "
                      "longer edges",)
-            ratio = less
-    return ()
+            ratio, before = less, multiple
+    metric = adapted_metric(mesh, names, wish.cells, wish.vertices, growth, None)
+    return _run_once(mesh, wish, replace(options, metric=metric))
 
 
 def _run_once(

@@ -9,6 +9,7 @@ from measure import aniso, matched
 from strategies import jittered
 
 import odt_plugins
+from odt_plugins import remeshing
 from odt_plugins.cli import main as cli
 from odt_plugins.generate import clouds
 from odt_plugins.report.interpolation import interpolation_errors
@@ -49,6 +50,25 @@ def test_cells_are_stretched_as_far_as_the_boundary_allows():
     assert any("cells are to be stretched" in note for note in report.notes)
     assert report.fallback is None
     assert report.after.mean_quality > report.before.mean_quality + 0.3
+
+
+def test_cells_stay_stretched_where_less_makes_no_fewer(monkeypatch):
+    points, cells = clouds.ball(60)
+    mesh = meshio.Mesh(points, [("tetra", cells)], {"u": points[:, 0] ** 2})
+    seen = []
+
+    def once(mesh, wish, options, notes=()):
+        seen.append((options.metric, notes))
+        if wish.crowded is not None:
+            wish.crowded(5.0)
+        return mesh, None, None, {}
+
+    monkeypatch.setattr(remeshing, "_run_once", once)
+    odt_plugins.remesh(mesh, adapt="u", cells=100_000)
+    (first, _), (second, _), (last, notes) = seen
+    assert not np.allclose(second, first)
+    assert np.array_equal(last, first)
+    assert notes == ()
 
 
 def test_a_batch_is_adapted(tmp_path):
